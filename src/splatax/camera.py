@@ -1,0 +1,81 @@
+"""A pinhole camera, in the conventions of COLMAP and OpenCV."""
+
+from dataclasses import dataclass, field, replace
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Camera:
+    """Where a picture was taken from, and through what lens.
+
+    Camera axes are x right, y down, z forward. Pixel coordinates have the image's top left corner
+    at (0, 0), so the first pixel's centre is (0.5, 0.5). All but the size is traced: views of one
+    size share one compiled program, and every number here can have a gradient.
+
+    Attributes:
+        fx, fy: focal lengths, pixels.
+        cx, cy: principal point, pixels.
+        cam_from_world: rigid transform, p_cam = R p_world + t, as a 4 x 4 matrix.
+        width, height: pixels (static).
+    """
+
+    fx: Float[Array, ""]
+    fy: Float[Array, ""]
+    cx: Float[Array, ""]
+    cy: Float[Array, ""]
+    cam_from_world: Float[Array, "4 4"]
+    width: int = field(metadata={"static": True})
+    height: int = field(metadata={"static": True})
+
+    @property
+    def rotation(self) -> Float[Array, "3 3"]:
+        """From world to camera axes."""
+        return self.cam_from_world[:3, :3]
+
+    @property
+    def translation(self) -> Float[Array, "3"]:
+        """The world's origin in camera axes."""
+        return self.cam_from_world[:3, 3]
+
+    @property
+    def position(self) -> Float[Array, "3"]:
+        """The optical centre in the world, -R^T t."""
+        return -self.rotation.T @ self.translation
+
+    def to_camera(self, point: Float[Array, "3"]) -> Float[Array, "3"]:
+        """A world point in camera axes."""
+        return self.rotation @ point + self.translation
+
+    def to_pixel(self, point: Float[Array, "3"]) -> Float[Array, "2"]:
+        """Where a point in camera axes, in front of the camera, appears in the image."""
+        x, y, z = point
+        return jnp.array([self.fx * x / z + self.cx, self.fy * y / z + self.cy])
+
+    def resized(self, width: int, height: int) -> "Camera":
+        """The same view sampled by another number of pixels."""
+        sx, sy = width / self.width, height / self.height
+        return replace(
+            self,
+            fx=self.fx * sx,
+            cx=self.cx * sx,
+            fy=self.fy * sy,
+            cy=self.cy * sy,
+            width=width,
+            height=height,
+        )
+
+
+def look_at(
+    position: Float[Array, "3"], target: Float[Array, "3"], up: Float[Array, "3"]
+) -> Float[Array, "4 4"]:
+    """`cam_from_world` of a camera at `position` that looks at `target`, with `up` towards its top."""
+    forward = (target - position) / jnp.linalg.norm(target - position)
+    right = jnp.cross(forward, up)
+    right = right / jnp.linalg.norm(right)
+    rotation = jnp.stack([right, jnp.cross(forward, right), forward])
+    top = jnp.concatenate([rotation, -(rotation @ position)[:, None]], axis=1)
+    return jnp.concatenate([top, jnp.array([[0, 0, 0, 1]], top.dtype)])

@@ -1,0 +1,56 @@
+"""The scene: a cloud of 3D Gaussians, stored as the unconstrained numbers that are optimized."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from splatax.math import ellipsoids, harmonics
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Gaussians:
+    """n anisotropic Gaussians with view-dependent colour (Kerbl et al. 2023, Sec. 4).
+
+    A Gaussian whose opacity logit is -inf is an empty slot: exactly transparent, so it is drawn
+    nowhere and has no gradient. Training keeps its arrays a little larger than the scene that way.
+
+    Attributes:
+        means: centres, world units.
+        quats: rotations (w, x, y, z), not necessarily unit.
+        log_scales: natural logarithm of the standard deviation along each axis, world units.
+        opacity_logits: inverse sigmoid of the opacity.
+        sh: spherical harmonic coefficients of colour, k = (degree + 1)^2 of them for each channel.
+    """
+
+    means: Float[Array, "n 3"]
+    quats: Float[Array, "n 4"]
+    log_scales: Float[Array, "n 3"]
+    opacity_logits: Float[Array, " n"]
+    sh: Float[Array, "n k 3"]
+
+    def __len__(self) -> int:
+        return self.means.shape[0]
+
+    @property
+    def scales(self) -> Float[Array, "n 3"]:
+        """Standard deviations along each axis, world units."""
+        return jnp.exp(self.log_scales)
+
+    @property
+    def opacities(self) -> Float[Array, " n"]:
+        """Opacity at the centre, in [0, 1]."""
+        return jax.nn.sigmoid(self.opacity_logits)
+
+    @property
+    def covariances(self) -> Float[Array, "n 3 3"]:
+        """R S S^T R^T of each Gaussian, world units squared."""
+        factors = jax.vmap(ellipsoids.covariance_factor)(self.quats, self.scales)
+        return jnp.einsum("nij,nkj->nik", factors, factors)
+
+    @property
+    def sh_degree(self) -> int:
+        """Degree of the spherical harmonics, 0 to 4."""
+        return harmonics.degree_of(self.sh.shape[1])

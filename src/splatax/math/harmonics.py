@@ -1,0 +1,86 @@
+"""Real spherical harmonics, in the order and signs of 3D Gaussian Splatting files.
+
+Condon-Shortley signs, band by band with m = -l .. l, as in the authors' code of Kerbl et al. 2023
+and in the KHR_gaussian_splatting specification. Bands 0 to 4 (Sloan 2013, "Efficient Spherical
+Harmonic Evaluation").
+"""
+
+import math
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+MAX_DEGREE = 4
+Y00 = 0.28209479177387814  # 1 / (2 sqrt(pi)): the constant harmonic
+
+
+def count(degree: int) -> int:
+    """How many coefficients a channel has: (degree + 1)^2."""
+    return (degree + 1) ** 2
+
+
+def degree_of(coefficients: int) -> int:
+    """The degree that has this many coefficients.
+
+    Raises:
+        ValueError: if no degree from 0 to 4 has.
+    """
+    degree = math.isqrt(coefficients) - 1
+    if coefficients < 1 or count(degree) != coefficients or degree > MAX_DEGREE:
+        raise ValueError(
+            f"{coefficients} SH coefficients: expected 1, 4, 9, 16 or 25 (degree 0 to {MAX_DEGREE})"
+        )
+    return degree
+
+
+def basis(direction: Float[Array, "3"], degree: int) -> Float[Array, " k"]:
+    """The (degree + 1)^2 basis functions at a unit direction (towards the Gaussian)."""
+    x, y, z = direction
+    xx, yy, zz = x * x, y * y, z * z
+    bands = [
+        [jnp.full_like(x, Y00)],
+        [-0.4886025119029199 * y, 0.4886025119029199 * z, -0.4886025119029199 * x],
+        [
+            1.0925484305920792 * x * y,
+            -1.0925484305920792 * y * z,
+            0.31539156525252005 * (2 * zz - xx - yy),
+            -1.0925484305920792 * x * z,
+            0.5462742152960396 * (xx - yy),
+        ],
+        [
+            -0.5900435899266435 * y * (3 * xx - yy),
+            2.890611442640554 * x * y * z,
+            -0.4570457994644658 * y * (4 * zz - xx - yy),
+            0.3731763325901154 * z * (2 * zz - 3 * xx - 3 * yy),
+            -0.4570457994644658 * x * (4 * zz - xx - yy),
+            1.445305721320277 * z * (xx - yy),
+            -0.5900435899266435 * x * (xx - 3 * yy),
+        ],
+        [
+            2.5033429417967046 * x * y * (xx - yy),
+            -1.7701307697799304 * y * z * (3 * xx - yy),
+            0.9461746957575601 * x * y * (7 * zz - 1),
+            -0.6690465435572892 * y * z * (7 * zz - 3),
+            0.10578554691520431 * (zz * (35 * zz - 30) + 3),
+            -0.6690465435572892 * x * z * (7 * zz - 3),
+            0.47308734787878004 * (xx - yy) * (7 * zz - 1),
+            -1.7701307697799304 * x * z * (xx - 3 * yy),
+            0.6258357354491761 * (xx * (xx - 3 * yy) - yy * (3 * xx - yy)),
+        ],
+    ]
+    return jnp.stack([value for band in bands[: degree + 1] for value in band])
+
+
+def evaluate(sh: Float[Array, "k c"], direction: Float[Array, "3"]) -> Float[Array, " c"]:
+    """The sum of coefficients times basis: what a Gaussian shows towards `direction`."""
+    return basis(direction, degree_of(sh.shape[0])) @ sh
+
+
+def from_rgb(rgb: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
+    """The DC coefficient that shows `rgb` from everywhere: colour is Y00 * dc + 0.5."""
+    return (rgb - 0.5) / Y00
+
+
+def to_rgb(dc: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
+    """The colour that a DC coefficient shows from everywhere."""
+    return dc * Y00 + 0.5

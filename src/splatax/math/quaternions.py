@@ -1,0 +1,23 @@
+"""Rotations as quaternions (w, x, y, z), one at a time: `vmap` for many."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+def normalize(quat: Float[Array, "4"]) -> Float[Array, "4"]:
+    """The unit quaternion of the same rotation; zero stays zero, with a zero gradient."""
+    squared = quat @ quat
+    positive = squared > 0
+    return jnp.where(positive, quat / jnp.sqrt(jnp.where(positive, squared, 1)), 0)
+
+
+def to_rotation(quat: Float[Array, "4"]) -> Float[Array, "3 3"]:
+    """The rotation matrix of any non-zero quaternion, which need not be unit. Zero gives identity."""
+    w, x, y, z = normalize(quat)
+    return jnp.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )

@@ -1,0 +1,166 @@
+"""EWA projection: 3D Gaussians and a camera -> the 2D Gaussians of one view.
+
+    Sigma' = J W Sigma W^T J^T + 0.3 I         (Zwicker et al. 2001; Kerbl et al. 2023, Eq. 5)
+
+W is the camera's rotation and J the Jacobian of the perspective at the mean. The code keeps the
+2 x 3 factor J W R S instead of Sigma: see `math.ellipsoids`.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from splatax.camera import Camera
+from splatax.gaussians import Gaussians
+from splatax.math import ellipsoids, harmonics
+from splatax.splats import MIN_ALPHA, Splats
+
+NEAR = 0.01  # world units of camera z; nearer is culled (as gsplat does)
+MAX_SLOPE = 1e6  # |x / z| beyond which the perspective of a mean overflows; culled
+MAX_LOG_SCALE = 40.0  # e^40 squared still fits float32
+FRUSTUM_MARGIN = 0.3  # of the half image: how far beside it J follows the mean (as gsplat does)
+
+
+@dataclass(frozen=True)
+class Dilation:
+    """Adds variance to every splat and leaves its opacity (Kerbl et al. 2023, authors' code)."""
+
+    variance: float = 0.3  # pixels^2
+
+    def fade(self, sharp: Float[Array, ""], blurred: Float[Array, ""]) -> Float[Array, ""]:
+        """Factor on opacity, from the determinants before and after the variance is added."""
+        return jnp.ones_like(sharp)
+
+
+@dataclass(frozen=True)
+class Antialiasing:
+    """Adds variance and keeps the splat's total light: no thickening when seen from afar.
+
+    The 2D Mip filter of Yu et al. 2024, Eq. 9: opacity times sqrt(|Sigma| / |Sigma + v I|).
+    """
+
+    variance: float = 0.3  # pixels^2
+    floor: float = 0.005  # least factor, so that its gradient stays finite for flat Gaussians
+
+    def fade(self, sharp: Float[Array, ""], blurred: Float[Array, ""]) -> Float[Array, ""]:
+        """Factor on opacity, from the determinants before and after the variance is added."""
+        return jnp.sqrt(jnp.maximum(sharp / blurred, self.floor**2))
+
+
+LowPass = Dilation | Antialiasing  # what keeps a splat from falling between pixels
+
+
+class Projected(NamedTuple):
+    """One Gaussian's row of `Splats`."""
+
+    mean2d: Float[Array, "2"]
+    sqrt_conic: Float[Array, "3"]
+    depth: Float[Array, ""]
+    extent: Float[Array, "2"]
+    color: Float[Array, "3"]
+    opacity: Float[Array, ""]
+
+
+@partial(jax.jit, static_argnames="low_pass")
+@jax.default_matmul_precision("highest")  # GPUs and TPUs would round to 10 or 8 bits
+def project(gaussians: Gaussians, camera: Camera, *, low_pass: LowPass = Dilation()) -> Splats:
+    """The 2D Gaussians that a camera sees, one row for each Gaussian, in the same order.
+
+    Culled rows have zero extent: nearer than 0.01, more transparent than 1/255, beside the image,
+    or not finite. They get zero gradients. Differentiable in the Gaussians and the camera.
+    """
+    position = camera.position
+
+    def one(mean, quat, log_scale, logit, sh):
+        return project_one(mean, quat, log_scale, logit, sh, camera, position, low_pass)
+
+    fields = (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.opacity_logits, gaussians.sh)
+    rows = jax.vmap(one)(*fields)
+    return Splats(
+        means2d=rows.mean2d,
+        sqrt_conics=rows.sqrt_conic,
+        depths=rows.depth,
+        extents=jax.lax.stop_gradient(rows.extent),
+        colors=rows.color,
+        opacities=rows.opacity,
+        width=camera.width,
+        height=camera.height,
+    )
+
+
+def project_one(
+    mean: Float[Array, "3"],
+    quat: Float[Array, "4"],
+    log_scale: Float[Array, "3"],
+    logit: Float[Array, ""],
+    sh: Float[Array, "k 3"],
+    camera: Camera,
+    position: Float[Array, "3"],
+    low_pass: LowPass,
+) -> Projected:
+    """`project` for one Gaussian; `position` is the camera's, computed once for all."""
+    point = camera.to_camera(mean)
+    in_front = (point[2] > NEAR) & jnp.all(jnp.abs(point[:2]) < MAX_SLOPE * point[2])
+    # A safe operand inside, not after: a culled point must not send a NaN back.
+    point = jnp.where(in_front, point, jnp.array([0, 0, 1], point.dtype))
+    mean2d = camera.to_pixel(point)
+
+    scale = jnp.exp(jnp.minimum(log_scale, MAX_LOG_SCALE))
+    factor = perspective_jacobian(point, camera) @ camera.rotation @ ellipsoids.covariance_factor(quat, scale)
+    usable = in_front & jnp.isfinite(jnp.sum(jnp.square(jnp.sum(factor * factor))))
+    factor = jnp.where(usable, factor, 0)
+    blurred = ellipsoids.determinant_of_rows(factor, jnp.asarray(low_pass.variance, factor.dtype))
+    sharp = ellipsoids.determinant_of_rows(factor, jnp.zeros((), factor.dtype))
+    a, c = jnp.sum(factor * factor, axis=1) + low_pass.variance
+    covariance = jnp.array([a, factor[0] @ factor[1], c])
+
+    opacity = jax.nn.sigmoid(logit) * low_pass.fade(sharp, blurred)
+    reach = 2 * jnp.log(jnp.maximum(opacity / MIN_ALPHA, 1))  # squared sigmas at which alpha is 1/255
+    extent = jnp.sqrt(reach * jnp.array([a, c]))
+    visible = usable & (opacity >= MIN_ALPHA) & overlaps_image(mean2d, extent, camera)
+
+    color = jnp.maximum(harmonics.evaluate(sh, direction(position, mean)) + 0.5, 0)
+    return Projected(
+        mean2d,
+        ellipsoids.sqrt_conic(covariance, blurred),
+        point[2],
+        jnp.where(visible, extent, 0),
+        color,
+        opacity,
+    )
+
+
+def perspective_jacobian(point: Float[Array, "3"], camera: Camera) -> Float[Array, "2 3"]:
+    """d pixel / d point, with the point pulled to the frustum's margin if it lies beside it.
+
+    Beside the frustum J explodes, and one splat would flood the image.
+    """
+    x, y, z = point
+    margin_x = FRUSTUM_MARGIN * 0.5 * camera.width
+    margin_y = FRUSTUM_MARGIN * 0.5 * camera.height
+    slope_x = jnp.clip(
+        x / z, -(camera.cx + margin_x) / camera.fx, (camera.width - camera.cx + margin_x) / camera.fx
+    )
+    slope_y = jnp.clip(
+        y / z, -(camera.cy + margin_y) / camera.fy, (camera.height - camera.cy + margin_y) / camera.fy
+    )
+    fx, fy, zero = camera.fx / z, camera.fy / z, jnp.zeros_like(z)
+    return jnp.array([[fx, zero, -fx * slope_x], [zero, fy, -fy * slope_y]])
+
+
+def overlaps_image(mean2d: Float[Array, "2"], extent: Float[Array, "2"], camera: Camera) -> Bool[Array, ""]:
+    """Whether the box of a splat reaches into the image."""
+    size = jnp.array([camera.width, camera.height], mean2d.dtype)
+    return jnp.all((mean2d + extent > 0) & (mean2d - extent < size))
+
+
+def direction(position: Float[Array, "3"], mean: Float[Array, "3"]) -> Float[Array, "3"]:
+    """Unit vector from the camera to a Gaussian; zero, with zero gradient, where they coincide."""
+    offset = mean - position
+    squared = offset @ offset
+    apart = squared > 0
+    return jnp.where(apart, offset / jnp.sqrt(jnp.where(apart, squared, 1)), 0)

@@ -1,0 +1,39 @@
+"""Every test runs with shapes checked, and with JAX refusing silent promotions."""
+
+import os
+from pathlib import Path
+
+import jax
+import pytest
+from jaxtyping import install_import_hook
+
+_register = jax.tree_util.register_dataclass
+
+
+def _register_unchecked(record):
+    """JAX rebuilds records around placeholders and batched leaves, which have other shapes than the
+    fields declare: check functions, not the `__init__` of pytrees."""
+    record.__no_type_check__ = True
+    return _register(record)
+
+
+jax.tree_util.register_dataclass = _register_unchecked
+install_import_hook("splatax", "beartype.beartype")
+jax.config.update("jax_numpy_rank_promotion", "raise")
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+
+
+@pytest.fixture
+def x64():
+    """Double precision inside the test."""
+    with jax.enable_x64(True):
+        yield
+
+
+@pytest.fixture(scope="session")
+def data() -> Path:
+    """The folder of real captures and splat files; tests that need it skip without."""
+    path = Path(os.environ.get("SPLATAX_DATA", Path(__file__).parents[2] / "shared" / "data"))
+    if not path.is_dir():
+        pytest.skip(f"no real data: set SPLATAX_DATA (looked in {path})")
+    return path

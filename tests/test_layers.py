@@ -1,0 +1,63 @@
+"""The architecture, read from the imports: they may only point to a lower layer."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import splatax
+
+ROOT = Path(splatax.__file__).parent
+LAYERS = (  # lowest first; a package stands for all its modules
+    {"math", "errors"},
+    {"gaussians", "splats", "camera", "dataset"},
+    {"projection", "rasterizers", "losses", "metrics", "io"},
+    {"rendering"},
+    {"training", "evaluation"},
+    {"report", "demo", "bench"},
+    {"cli"},
+)
+NEVER = {("training", "io"), ("io", "rasterizers"), ("io", "projection")}  # in reach, but not theirs
+OPTIONAL = {"beartype", "pytest", "skimage"}  # not installed with the product
+
+
+def modules():
+    for path in sorted(ROOT.rglob("*.py")):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        if parts != ("__init__",):  # the public names, which gather from everywhere
+            yield path, parts[0]
+
+
+def imports(path):
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            if node.module == "splatax":
+                yield from (f"splatax.{alias.name}" for alias in node.names)
+            else:
+                yield node.module or ""
+
+
+def layer_of(package):
+    layers = [i for i, names in enumerate(LAYERS) if package in names]
+    assert layers, f"{package} is in no layer: add it to LAYERS"
+    return layers[0]
+
+
+@pytest.mark.parametrize(
+    ("path", "package"), [pytest.param(*m, id=str(m[0].relative_to(ROOT))) for m in modules()]
+)
+def test_imports_point_down(path, package):
+    for name in imports(path):
+        top, *rest = name.split(".")
+        assert top not in OPTIONAL, f"{path.name} imports {name}, which only tests may"
+        if top == "splatax" and rest and rest[0] != package:
+            assert layer_of(rest[0]) <= layer_of(package), f"{package} imports {name}, which lies above it"
+            assert (package, rest[0]) not in NEVER, f"{package} must not know {rest[0]}"
+
+
+def test_files_stay_small_enough_to_read():
+    long = {str(p.relative_to(ROOT)): n for p, _ in modules() if (n := len(p.read_text().splitlines())) > 300}
+    assert not long

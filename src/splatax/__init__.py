@@ -1,0 +1,31 @@
+"""3D Gaussian Splatting in JAX: from photos to a scene, the same code on CPU, GPU and TPU."""
+
+from splatax.camera import Camera as Camera
+from splatax.camera import look_at as look_at
+from splatax.dataset import Dataset as Dataset
+from splatax.dataset import PointCloud as PointCloud
+from splatax.dataset import View as View
+from splatax.errors import DatasetError as DatasetError
+from splatax.errors import FormatError as FormatError
+from splatax.errors import InputError as InputError
+from splatax.evaluation import Scores as Scores
+from splatax.evaluation import evaluate as evaluate
+from splatax.gaussians import Gaussians as Gaussians
+from splatax.io.datasets import load_dataset as load_dataset
+from splatax.io.formats import load as load
+from splatax.io.formats import save as save
+from splatax.projection import Antialiasing as Antialiasing
+from splatax.projection import Dilation as Dilation
+from splatax.projection import project as project
+from splatax.rasterizers import composite as composite
+from splatax.rendering import BLACK as BLACK
+from splatax.rendering import WHITE as WHITE
+from splatax.rendering import Rendering as Rendering
+from splatax.rendering import rasterize as rasterize
+from splatax.rendering import render as render
+from splatax.splats import Splats as Splats
+from splatax.training import recipes as recipes
+from splatax.training.loop import Progress as Progress
+from splatax.training.loop import fit as fit
+from splatax.training.loop import optimize as optimize
+from splatax.training.recipes import Recipe as Recipe

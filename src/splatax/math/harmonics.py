@@ -6,9 +6,13 @@ Harmonic Evaluation").
 """
 
 import math
+from typing import TypeVar
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
+
+AnyArray = TypeVar("AnyArray", Array, np.ndarray)
 
 MAX_DEGREE = 4
 Y00 = 0.28209479177387814  # 1 / (2 sqrt(pi)): the constant harmonic
@@ -71,16 +75,22 @@ def basis(direction: Float[Array, "3"], degree: int) -> Float[Array, " k"]:
     return jnp.stack([value for band in bands[: degree + 1] for value in band])
 
 
+def degree_of_file(columns: int) -> int | None:
+    """The degree of a file that has so many `f_rest` columns, all coefficients but the first; None
+    if no degree has."""
+    return {3 * (count(degree) - 1): degree for degree in range(MAX_DEGREE + 1)}.get(columns)
+
+
 def evaluate(sh: Float[Array, "k c"], direction: Float[Array, "3"]) -> Float[Array, " c"]:
     """The sum of coefficients times basis: what a Gaussian shows towards `direction`."""
     return basis(direction, degree_of(sh.shape[0])) @ sh
 
 
-def from_rgb(rgb: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
+def from_rgb(rgb: AnyArray) -> AnyArray:
     """The DC coefficient that shows `rgb` from everywhere: colour is Y00 * dc + 0.5."""
     return (rgb - 0.5) / Y00
 
 
-def to_rgb(dc: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
+def to_rgb(dc: AnyArray) -> AnyArray:
     """The colour that a DC coefficient shows from everywhere."""
     return dc * Y00 + 0.5

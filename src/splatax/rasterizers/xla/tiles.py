@@ -79,9 +79,9 @@ def visit(
     )
     lengths, starts = jnp.append(lengths, 0)[order], lists.starts[order]
 
-    def visit_batch(carry):
-        i, batched, shared = carry
-        length, start, corner = lengths[i], starts[i], corners(order[i], grid, table.dtype)
+    def visit_batch(shared, batch):
+        tiles, length, start, local = batch
+        corner = corners(tiles, grid, table.dtype)
 
         def visit_chunk(carry):
             done, local, shared = carry
@@ -96,24 +96,14 @@ def visit(
             done, local, _ = carry
             return (done < length[0]) & jnp.any(local[0] > 0)
 
-        local = jax.tree.map(lambda array: array[i], batched)
         _, local, shared = lax.while_loop(more, visit_chunk, (jnp.int32(0), local, shared))
-        batched = jax.tree.map(
-            lambda array, new: lax.dynamic_update_index_in_dim(array, new, i, 0), batched, local
-        )
-        return i + 1, batched, shared
-
-    def more_batches(carry):
-        i = jnp.minimum(carry[0], batches - 1)
-        return (carry[0] < batches) & (lengths[i, 0] > 0)
+        return shared, local
 
     batched = jax.tree.map(lambda array: array[jnp.minimum(order, grid.tiles - 1)], state)
-    _, batched, shared = lax.while_loop(more_batches, visit_batch, (jnp.int32(0), batched, shared))
-    state = jax.tree.map(
-        lambda old, new: old.at[order.ravel()].set(
-            new.reshape(-1, *old.shape[1:]), mode="drop", unique_indices=True
-        ),
-        state,
-        batched,
-    )
-    return state, shared
+    shared, batched = lax.scan(visit_batch, shared, (order, lengths, starts, batched))
+
+    def put_back(old, new):
+        rows = new.reshape(-1, *old.shape[1:])
+        return old.at[order.ravel()].set(rows, mode="drop", unique_indices=True)
+
+    return jax.tree.map(put_back, state, batched), shared

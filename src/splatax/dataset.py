@@ -1,0 +1,83 @@
+"""A capture in memory: views with their cameras, and points. Records alone, no reading of files."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from splatax.camera import Camera
+
+Pixels = UInt8[np.ndarray, "_ _ 3"] | UInt8[np.ndarray, "_ _ 4"]
+EXTENT_MARGIN = 1.1  # of the cameras' radius (authors' code of Kerbl et al. 2023)
+
+
+@dataclass(frozen=True)
+class View:
+    """A photo and the camera that took it.
+
+    Attributes:
+        name: of the photo, unique in its data set.
+        camera: of the same size as the photo.
+        pixels: decodes the photo: 8-bit RGB, or RGBA with straight alpha.
+    """
+
+    name: str
+    camera: Camera
+    pixels: Callable[[], Pixels]
+
+
+@dataclass(frozen=True)
+class PointCloud:
+    """Points on surfaces, in world units, with colours in [0, 1]."""
+
+    positions: Float[np.ndarray, "n 3"]
+    colors: Float[np.ndarray, "n 3"]
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """What a scene is trained on and judged by.
+
+    Attributes:
+        train: views to learn from.
+        test: views held out; may be empty.
+        points: from structure from motion; may be empty.
+        notes: what the loader found, a line each, for people to read.
+    """
+
+    train: tuple[View, ...]
+    test: tuple[View, ...]
+    points: PointCloud
+    notes: tuple[str, ...] = ()
+
+    @property
+    def views(self) -> tuple[View, ...]:
+        """All views, by name."""
+        return tuple(sorted(self.train + self.test, key=lambda view: view.name))
+
+    @property
+    def extent(self) -> float:
+        """Size of the scene, world units: 1.1 times the largest distance of a training camera from
+        their mean. Where all stand in one place, the median distance of the points from it, or 1.
+        """
+        positions = np.stack([np.asarray(view.camera.position, np.float64) for view in self.train])
+        centre = positions.mean(axis=0)
+        radius = float(np.linalg.norm(positions - centre, axis=1).max())
+        if radius > 1e-6 * float(np.abs(positions).max(initial=0)):
+            return EXTENT_MARGIN * radius
+        if len(self.points):
+            return float(np.median(np.linalg.norm(self.points.positions - centre, axis=1))) or 1.0
+        return 1.0
+
+
+def hold_out(views: list[View], every: int = 8) -> tuple[tuple[View, ...], tuple[View, ...]]:
+    """(train, test): every 8th view by name, from the first, is for testing. A lone view is not."""
+    ordered = sorted(views, key=lambda view: view.name)
+    if len(ordered) < 2:
+        return tuple(ordered), ()
+    test = tuple(ordered[::every])
+    return tuple(view for i, view in enumerate(ordered) if i % every), test

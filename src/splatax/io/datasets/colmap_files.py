@@ -1,0 +1,59 @@
+"""Checks that COLMAP's binary files are whole before pycolmap reads them.
+
+pycolmap reads past the end of a truncated file: it returns garbage, or never returns. So this
+walks over the records, by their lengths alone, and reads none of them.
+"""
+
+import struct
+from pathlib import Path
+
+from splatax.errors import DatasetError
+
+# Parameters of each camera model, by COLMAP's number.
+CAMERA_PARAMETERS = {0: 3, 1: 4, 2: 4, 3: 5, 4: 8, 5: 8, 6: 12, 7: 5, 8: 4, 9: 5, 10: 12, 11: 16}
+
+
+def check_whole(model: Path) -> None:
+    """Checks `cameras.bin`, `images.bin` and `points3D.bin` of a model, where present.
+
+    Raises:
+        DatasetError: if one of them is shorter or longer than its own counts say.
+    """
+    for name, end_of_record in ENDS.items():
+        path = model / f"{name}.bin"
+        if not path.exists():
+            continue
+        contents = path.read_bytes()
+        try:
+            (count,) = struct.unpack_from("<Q", contents)
+            end = 8
+            for _ in range(count):
+                end = end_of_record(contents, end)
+                if end > len(contents):
+                    raise struct.error
+        except (struct.error, ValueError, KeyError):
+            end = -1
+        if end != len(contents):
+            raise DatasetError(
+                f"{path}: damaged: its {len(contents):,} bytes do not hold what it announces. "
+                "Copy it again from where it was made, or run COLMAP again."
+            )
+
+
+def _end_of_camera(contents: bytes, start: int) -> int:
+    (model,) = struct.unpack_from("<i", contents, start + 4)
+    return start + 24 + 8 * CAMERA_PARAMETERS[model]
+
+
+def _end_of_image(contents: bytes, start: int) -> int:
+    name_end = contents.index(b"\0", start + 64)
+    (observations,) = struct.unpack_from("<Q", contents, name_end + 1)
+    return name_end + 9 + 24 * observations
+
+
+def _end_of_point(contents: bytes, start: int) -> int:
+    (track,) = struct.unpack_from("<Q", contents, start + 43)
+    return start + 51 + 8 * track
+
+
+ENDS = {"cameras": _end_of_camera, "images": _end_of_image, "points3D": _end_of_point}

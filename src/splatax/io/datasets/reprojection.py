@@ -1,0 +1,51 @@
+"""How well cameras and points agree, measured through the project's own projection."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pycolmap
+from jaxtyping import Array, Float
+
+from splatax.camera import Camera
+
+MAX_VIEWS = 40  # spread over the capture
+SAMPLES = 512  # observations of each: one shape for all views compiles once
+
+
+def reprojection_errors(
+    model: pycolmap.Reconstruction, registered: list[pycolmap.Image], cameras: dict[str, Camera]
+) -> Float[np.ndarray, " m"]:
+    """Distances in pixels of the loaded views between where points were seen and where they project.
+
+    Args:
+        model: the COLMAP model.
+        registered: its images, sorted.
+        cameras: the pinhole of each, by name.
+
+    Returns:
+        The errors of a sample of observations; none if the model keeps no observations.
+    """
+    errors = []
+    for image in registered[:: -(-len(registered) // MAX_VIEWS)]:
+        observed = [p for p in image.get_observation_points2D() if model.exists_point3D(p.point3D_id)]
+        if not observed:
+            continue
+        sample = observed[:: -(-len(observed) // SAMPLES)]
+        count, sample = len(sample), (sample * SAMPLES)[:SAMPLES]  # repeated to the one shape
+        points = np.array([model.point3D(p.point3D_id).xyz for p in sample], np.float32)
+        # Through the lens model to slopes, and through our pinhole back to pixels.
+        camera = cameras[image.name]
+        slopes = model.camera(image.camera_id).cam_from_img(np.array([p.xy for p in sample]))
+        seen = np.asarray(slopes) * [float(camera.fx), float(camera.fy)] + [
+            float(camera.cx),
+            float(camera.cy),
+        ]
+        drawn = _to_pixels(replace(camera, width=1, height=1), points)
+        errors.append(np.linalg.norm(np.asarray(drawn) - seen, axis=1)[:count])
+    return np.concatenate(errors) if errors else np.zeros(0)
+
+
+@jax.jit
+def _to_pixels(camera: Camera, points: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
+    return jax.vmap(lambda point: camera.to_pixel(camera.to_camera(point)))(points)

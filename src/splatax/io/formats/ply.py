@@ -1,0 +1,122 @@
+"""INRIA's .ply, which every splatting tool reads; and SuperSplat's compressed .ply, reading alone.
+
+    x y z  nx ny nz  f_dc_0..2  f_rest_0..(3K-1)  opacity  scale_0..2  rot_0..3         all float32
+
+Opacity is a logit, scales are logarithms, rotations are (w, x, y, z). `f_rest` is channel-major:
+all K higher coefficients of red, then of green, then of blue. Normals are zeros. Lossless.
+"""
+
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from splatax.errors import FormatError
+from splatax.gaussians import Gaussians
+from splatax.io.formats import compressed_ply, ply_table
+from splatax.math import harmonics
+
+POSITION = ("x", "y", "z")
+NORMAL = ("nx", "ny", "nz")
+DC = ("f_dc_0", "f_dc_1", "f_dc_2")
+RGB = ("red", "green", "blue")
+OPACITY = ("opacity",)
+SCALE = ("scale_0", "scale_1", "scale_2")
+ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
+
+
+def load(path: Path) -> Gaussians:
+    """Reads columns by name: their order, other columns, normals and double precision do not matter.
+
+    Without `scale_2` Gaussians are flat (2DGS); without `f_dc`, 8-bit red, green and blue serve.
+
+    Raises:
+        FormatError: if it is not a PLY file of splats, or is truncated.
+    """
+    table = ply_table.read(path)
+    if "chunk" in table.elements:
+        return compressed_ply.decode(path, table)
+    vertex = table.elements.get("vertex")
+    names = set(vertex.dtype.names or ()) if vertex is not None else set()
+    color = DC if names.issuperset(DC) else RGB
+    missing = {*POSITION, *OPACITY, *SCALE[:2], *ROTATION, *color} - names
+    if vertex is None or missing:
+        kind = "a point cloud or mesh" if names.issuperset(POSITION) else "something else"
+        raise FormatError(
+            f"{path}: {kind}, not splats: it has no {', '.join(sorted(missing))}. "
+            "Give a file of trained Gaussians, such as the scene.ply of a run."
+        )
+
+    def columns(names: tuple[str, ...]) -> np.ndarray:
+        return np.stack([vertex[name].astype(np.float32) for name in names], axis=1)
+
+    dc = columns(DC) if color is DC else harmonics.from_rgb(columns(RGB) / 255)
+    flat = "scale_2" not in names
+    log_scales = columns(SCALE[:2] if flat else SCALE)
+    if flat:
+        log_scales = np.pad(log_scales, ((0, 0), (0, 1)), constant_values=-np.inf)
+    return Gaussians(
+        means=jnp.asarray(columns(POSITION)),
+        quats=jnp.asarray(columns(ROTATION)),
+        log_scales=jnp.asarray(log_scales),
+        opacity_logits=jnp.asarray(columns(OPACITY)[:, 0]),
+        sh=jnp.asarray(np.concatenate([dc[:, None], _higher_bands(path, vertex)], axis=1)),
+    )
+
+
+def save(path: Path, gaussians: Gaussians, *, comments: tuple[str, ...] = ()) -> None:
+    """Writes all Gaussians that are finite and not empty slots; see `formats.save`."""
+    fields = {
+        POSITION: np.asarray(gaussians.means),
+        NORMAL: np.zeros((len(gaussians), 3), np.float32),
+        DC: np.asarray(gaussians.sh[:, 0]),
+        _rest_names(gaussians.sh.shape[1] - 1): _channel_major(np.asarray(gaussians.sh[:, 1:])),
+        OPACITY: np.asarray(gaussians.opacity_logits)[:, None],
+        SCALE: np.asarray(gaussians.log_scales),
+        ROTATION: np.asarray(gaussians.quats),
+    }
+    names = [name for group in fields for name in group]
+    values = np.concatenate(list(fields.values()), axis=1).astype("<f4")[_written(path, gaussians)]
+    rows = np.ascontiguousarray(values).view([(name, "<f4") for name in names])[:, 0]
+    ply_table.write(path, "vertex", rows, (*comments, f"SH degree: {gaussians.sh_degree}"))
+
+
+def comments(path: Path) -> tuple[str, ...]:
+    """The comments in the header."""
+    return ply_table.read(path).comments
+
+
+def _written(path: Path, gaussians: Gaussians) -> Bool[np.ndarray, " n"]:
+    """The rows to write. A scale of zero (-inf) is flat, not broken: readers know it."""
+    flat = replace(gaussians, log_scales=jnp.maximum(gaussians.log_scales, -100.0))
+    leaves = [np.asarray(leaf).reshape(len(gaussians), -1) for leaf in jax.tree.leaves(flat)]
+    finite = np.all([np.isfinite(leaf).all(axis=1) for leaf in leaves], axis=0)
+    empty = np.isneginf(np.asarray(gaussians.opacity_logits))
+    if broken := int(np.sum(~finite & ~empty)):
+        warnings.warn(f"{path}: left out {broken:,} Gaussians that are not finite", stacklevel=4)
+    return finite & ~empty
+
+
+def _rest_names(coefficients: int) -> tuple[str, ...]:
+    return tuple(f"f_rest_{i}" for i in range(3 * coefficients))
+
+
+def _channel_major(rest: Float[np.ndarray, "n k 3"]) -> Float[np.ndarray, "n rest"]:
+    return rest.transpose(0, 2, 1).reshape(len(rest), 3 * rest.shape[1])
+
+
+def _higher_bands(path: Path, vertex: np.ndarray) -> Float[np.ndarray, "n k 3"]:
+    found = [name for name in vertex.dtype.names or () if name.startswith("f_rest_")]
+    names = _rest_names(len(found) // 3)
+    if harmonics.degree_of_file(len(found)) is None or set(names) != set(found):
+        raise FormatError(
+            f"{path}: {len(found)} f_rest columns: expected 0, 9, 24, 45 or 72, numbered from 0."
+        )
+    rest = np.empty((len(vertex), len(names)), np.float32)
+    for i, name in enumerate(names):
+        rest[:, i] = vertex[name]
+    return rest.reshape(len(vertex), 3, len(names) // 3).transpose(0, 2, 1)

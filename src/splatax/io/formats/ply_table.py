@@ -1,0 +1,122 @@
+"""The container: a PLY file as named columns of numbers, whatever they mean."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from splatax.errors import FormatError
+
+TYPES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
+    "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
+    "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
+    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
+}  # fmt: skip
+ENDIANNESS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
+LONGEST_HEADER = 1 << 20  # bytes; a file without an end_header is not read to its end
+
+
+@dataclass(frozen=True)
+class PlyTable:
+    """Comments, and the rows of each element, as structured arrays."""
+
+    comments: tuple[str, ...]
+    elements: dict[str, np.ndarray]
+
+
+def read(path: Path) -> PlyTable:
+    """Reads a PLY file of fixed-size properties; what follows a list property is left out.
+
+    Raises:
+        FormatError: if it is no PLY file, or shorter than its header says.
+    """
+    with path.open("rb") as file:
+        lines, start = _header_of(path, file.read(LONGEST_HEADER))
+        form, comments, layout = _parse(path, lines)
+        elements: dict[str, np.ndarray] = {}
+        file.seek(start)
+        remaining = os.fstat(file.fileno()).st_size - start
+        for name, count, fields in layout:
+            if fields is None:
+                break
+            order = ENDIANNESS[form]
+            dtype = np.dtype([(column, order + kind) for column, kind in fields])
+            if form == "ascii":
+                elements[name] = _read_text(path, file, name, count, dtype)
+                continue
+            remaining -= count * dtype.itemsize
+            if remaining < 0:
+                raise FormatError(
+                    f"{path}: truncated: {-remaining:,} bytes of its {count:,} {name} rows are missing. "
+                    "Copy the file again."
+                )
+            elements[name] = np.frombuffer(file.read(count * dtype.itemsize), dtype)
+    return PlyTable(comments, elements)
+
+
+def write(path: Path, element: str, rows: np.ndarray, comments: tuple[str, ...]) -> None:
+    """Writes one element of little-endian floats, whole or not at all."""
+    header = ["ply", "format binary_little_endian 1.0", *(f"comment {line}" for line in comments)]
+    header += [
+        f"element {element} {len(rows)}",
+        *(f"property float {name}" for name in rows.dtype.names or ()),
+    ]
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with temporary.open("wb") as file:
+            file.write("\n".join([*header, "end_header", ""]).encode())
+            file.write(rows.tobytes())
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _header_of(path: Path, beginning: bytes) -> tuple[list[str], int]:
+    if not beginning.startswith((b"ply\n", b"ply\r")):
+        raise FormatError(f"{path}: not a PLY file. Give a splat file, such as the scene.ply of a run.")
+    marker = beginning.find(b"end_header")
+    end = beginning.find(b"\n", marker)
+    if marker < 0 or end < 0:
+        raise FormatError(f"{path}: truncated: its header has no end. Copy the file again.")
+    return beginning[:marker].decode("latin-1").splitlines()[1:], end + 1
+
+
+def _parse(path: Path, lines: list[str]):
+    """(form, comments, [(element, count, [(property, type)], or None where it has lists)])."""
+    form = ""
+    comments: list[str] = []
+    layout: list[tuple[str, int, list[tuple[str, str]] | None]] = []
+    for line in lines:
+        match line.split():
+            case ["format", form, _]:
+                pass
+            case ["comment", *words]:
+                comments.append(" ".join(words))
+            case ["element", name, count] if count.isdigit():
+                layout.append((name, int(count), []))
+            case ["property", "list", *_] if layout:
+                layout[-1] = (layout[-1][0], layout[-1][1], None)
+            case ["property", kind, name] if layout and kind in TYPES:
+                if (fields := layout[-1][2]) is not None:
+                    fields.append((name, TYPES[kind]))
+            case [] | ["obj_info", *_]:
+                pass
+            case _:
+                raise FormatError(f"{path}: not a valid PLY header: {line!r}.")
+    if form not in ENDIANNESS:
+        raise FormatError(f"{path}: PLY format {form!r} is unknown: expected {', '.join(ENDIANNESS)}.")
+    return form, tuple(comments), layout
+
+
+def _read_text(path: Path, file, name: str, count: int, dtype: np.dtype) -> np.ndarray:
+    try:
+        rows = np.loadtxt(file, dtype, max_rows=count, ndmin=1) if count else np.zeros(0, dtype)
+    except ValueError as error:
+        raise FormatError(f"{path}: its {name} rows cannot be read ({error}).") from error
+    if len(rows) < count:
+        raise FormatError(f"{path}: truncated: {len(rows):,} of its {count:,} {name} rows are there.")
+    return rows

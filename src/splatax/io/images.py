@@ -1,0 +1,87 @@
+"""Photos and pictures: decode, measure, resize, encode."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+from PIL import Image, ImageOps, UnidentifiedImageError
+
+from splatax.dataset import Pixels
+from splatax.errors import DatasetError
+
+SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"}
+
+
+def is_image(path: Path) -> bool:
+    """Whether the name is that of a photo."""
+    return path.suffix.lower() in SUFFIXES and not path.name.startswith(".")
+
+
+def size_of(path: Path, *, upright: bool = False) -> tuple[int, int]:
+    """Width and height, from the header alone; after turning by EXIF if `upright`.
+
+    Raises:
+        DatasetError: if the file is not an image.
+    """
+    with _open(path) as image:
+        if upright and image.getexif().get(0x0112, 1) >= 5:
+            return image.height, image.width
+        return image.size
+
+
+def read(path: Path, *, upright: bool = False) -> Pixels:
+    """Decodes a photo to 8-bit RGB, or RGBA where it has an alpha channel.
+
+    Args:
+        path: of the photo.
+        upright: turn it as its EXIF orientation says.
+
+    Raises:
+        DatasetError: if the file is not an image, or is damaged.
+    """
+    with _open(path) as image:
+        try:
+            if upright:
+                image = ImageOps.exif_transpose(image)
+            mode = "RGBA" if image.has_transparency_data else "RGB"
+            return np.array(image.convert(mode))
+        except (OSError, SyntaxError) as error:
+            raise DatasetError(
+                f"{path}: the photo is damaged ({error}). Restore it from the camera."
+            ) from error
+
+
+def resize(pixels: Pixels, width: int, height: int) -> Pixels:
+    """Shrinks by averaging the area that each new pixel covers; alpha weighs colour."""
+    if pixels.shape[:2] == (height, width):
+        return pixels
+    if pixels.shape[2] == 4:
+        alpha = pixels[..., 3:].astype(np.float64) / 255
+        premultiplied = _area_mean(pixels[..., :3] * alpha, width, height)
+        mean_alpha = _area_mean(alpha, width, height)
+        color = premultiplied / np.where(mean_alpha > 0, mean_alpha, 1)
+        pixels = np.concatenate([color, mean_alpha * 255], axis=2)
+        return np.round(pixels).astype(np.uint8)
+    return np.array(Image.fromarray(pixels).resize((width, height), Image.Resampling.BOX))
+
+
+def _area_mean(values: np.ndarray, width: int, height: int) -> np.ndarray:
+    planes = [Image.fromarray(plane.astype(np.float32)) for plane in np.moveaxis(values, 2, 0)]
+    return np.stack([np.array(p.resize((width, height), Image.Resampling.BOX)) for p in planes], axis=2)
+
+
+def write(path: Path, pixels: UInt8[np.ndarray, "h w 3"]) -> None:
+    """Writes a PNG, whole or not at all."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    Image.fromarray(pixels).save(temporary, "PNG")
+    os.replace(temporary, path)
+
+
+def _open(path: Path) -> Image.Image:
+    try:
+        return Image.open(path)
+    except FileNotFoundError:
+        raise DatasetError(f"{path}: no such photo.") from None
+    except (UnidentifiedImageError, OSError) as error:
+        raise DatasetError(f"{path}: not a photo that can be read ({error}).") from error

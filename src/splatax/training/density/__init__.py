@@ -1,0 +1,9 @@
+"""Density control: when and how the number of Gaussians changes."""
+
+from splatax.training.density.classic import Classic
+from splatax.training.density.fixed import Fixed
+from splatax.training.density.protocol import DensityStrategy, Lineage, Refinement
+
+STRATEGIES = {"classic": Classic, "fixed": Fixed}
+
+__all__ = ["STRATEGIES", "Classic", "DensityStrategy", "Fixed", "Lineage", "Refinement"]

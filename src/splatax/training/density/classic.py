@@ -1,0 +1,150 @@
+"""Clone small, split large, prune faint and oversized, reset opacity (Kerbl et al. 2023, Sec. 5.2).
+
+A Gaussian whose mean the loss keeps pulling at on the image stands where detail is missing: there
+is too little of it (clone) or too much of one (split).
+"""
+
+import math
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+
+from splatax.gaussians import Gaussians
+from splatax.math import ellipsoids
+from splatax.splats import Splats
+from splatax.training.capacity import bucket_for, with_empty_slots
+from splatax.training.density.protocol import Lineage, Refinement
+
+
+class Observed(NamedTuple):
+    """Sums over the views since the last refinement."""
+
+    pull: Float[Array, " n"]  # of |dL/d means2d|, with the image running from -1 to 1
+    views: Float[Array, " n"]  # in which it was visible
+    screen: Float[Array, " n"]  # largest extent seen, as a share of the image's longer side
+
+
+@dataclass(frozen=True)
+class Classic:
+    """The authors' adaptive density control, with their settings."""
+
+    every: int = 100  # steps between refinements
+    start: int = 500  # step before which there is none
+    until: int = 15_000  # step from which on there is none
+    pull_threshold: float = 2e-4  # mean over views of |dL/d means2d|, image from -1 to 1
+    dense_size: float = 0.01  # of the scene's extent: larger is split, smaller cloned
+    shrink: float = 1.6  # factor by which the children of a split are smaller
+    min_opacity: float = 0.005  # fainter is pruned
+    max_world_size: float = 0.1  # of the scene's extent; larger is pruned after the first reset
+    max_screen_size: float = 0.15  # of the image's longer side; as above, up to `screen_until`
+    screen_until: int = 4_000  # step (splatfacto's values: the authors' own test never fires)
+    reset_every: int = 3_000  # steps between opacity resets
+    reset_opacity: float = 0.01  # highest opacity after a reset
+    max_gaussians: int = 5_000_000  # growth stops here; the most pulled at come first
+
+    def init(self, capacity: int) -> Observed:
+        return Observed(*(jnp.zeros(capacity) for _ in Observed._fields))
+
+    def observe(self, state: Observed, splats: Splats, d_splats: Splats) -> Observed:
+        visible = jnp.any(splats.extents > 0, axis=1)
+        half = jnp.array([splats.width / 2, splats.height / 2], splats.means2d.dtype)
+        pull = jnp.linalg.norm(d_splats.means2d * half[None, :], axis=1)
+        screen = jnp.max(splats.extents, axis=1) / max(splats.width, splats.height)
+        return Observed(
+            state.pull + jnp.where(visible, pull, 0),
+            state.views + visible.astype(state.views.dtype),
+            jnp.maximum(state.screen, screen),
+        )
+
+    def due(self, step: int) -> bool:
+        return step < self.until and (self._densifies(step) or self._resets(step))
+
+    def refine(
+        self, state: Observed, gaussians: Gaussians, count: int, step: int, extent: float, key: PRNGKeyArray
+    ) -> Refinement:
+        lineage, state_rows = Lineage(jnp.arange(len(gaussians)), jnp.zeros(len(gaussians), bool)), state
+        if self._densifies(step):
+            parents, children = self._plan(state, gaussians, count, step, extent)
+            count = len(parents)
+            capacity = bucket_for(count, len(gaussians))
+            padding = (0, capacity - count)
+            lineage = Lineage(
+                jnp.asarray(np.pad(parents, padding)),
+                jnp.asarray(np.pad(children != KEPT, padding, constant_values=True)),
+            )
+            split = jnp.asarray(np.pad(children == SPLIT, padding))
+            gaussians = _reborn(gaussians, lineage.parent, split, jnp.int32(count), self.shrink, key)
+            state_rows = self.init(capacity)
+        if self._resets(step):
+            highest = math.log(self.reset_opacity / (1 - self.reset_opacity))
+            gaussians = replace(gaussians, opacity_logits=jnp.minimum(gaussians.opacity_logits, highest))
+            lineage = replace(lineage, restarted=("opacity_logits",))
+        return Refinement(gaussians, count, lineage, state_rows)
+
+    def _densifies(self, step: int) -> bool:
+        return step > self.start and step % self.every == 0
+
+    def _resets(self, step: int) -> bool:
+        return step % self.reset_every == 0
+
+    def _plan(
+        self, state: Observed, gaussians: Gaussians, count: int, step: int, extent: float
+    ) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
+        """Which row each new Gaussian comes from, and as what: KEPT, CLONE or SPLIT."""
+        pull, views, screen = (np.asarray(leaf[:count]) for leaf in state)
+        size = np.exp(np.asarray(gaussians.log_scales[:count])).max(axis=1)
+        faint = np.asarray(gaussians.opacities[:count]) < self.min_opacity
+        oversized = np.zeros(count, bool)
+        if step > self.reset_every:
+            oversized = size > self.max_world_size * extent
+            if step <= self.screen_until:
+                oversized |= screen > self.max_screen_size
+
+        pull = np.where(faint, 0, pull / np.maximum(views, 1))
+        chosen = self._most_pulled(pull, room=self.max_gaussians - count)
+        large = size > self.dense_size * extent
+        clone, split = np.flatnonzero(chosen & ~large), np.flatnonzero(chosen & large)
+        if step > self.reset_every:
+            split = split[size[split] / self.shrink <= self.max_world_size * extent]
+        kept = np.flatnonzero(~faint & ~oversized & ~(chosen & large))
+        clone = clone[~oversized[clone]]
+        parents = np.concatenate([kept, clone, split, split])
+        children = np.repeat([KEPT, CLONE, SPLIT], [len(kept), len(clone), 2 * len(split)])
+        return parents, children
+
+    def _most_pulled(self, pull: Float[np.ndarray, " n"], room: int) -> Bool[np.ndarray, " n"]:
+        """Those over the threshold; if they are more than there is room for, the most pulled at."""
+        chosen = pull >= self.pull_threshold
+        if chosen.sum() > room:
+            strongest = np.argsort(-pull, kind="stable")[: max(room, 0)]
+            chosen = np.isin(np.arange(len(pull)), strongest) & chosen
+        return chosen
+
+
+KEPT, CLONE, SPLIT = 0, 1, 2
+
+
+@partial(jax.jit, static_argnames="shrink")
+def _reborn(
+    gaussians: Gaussians,
+    parents: Int[Array, " m"],
+    split: Bool[Array, " m"],
+    count: Int[Array, ""],
+    shrink: float,
+    key: PRNGKeyArray,
+) -> Gaussians:
+    """Copies of their parents; those of a split are smaller and drawn from the parent's density."""
+    children = jax.tree.map(lambda leaf: leaf[parents], gaussians)
+    factors = jax.vmap(ellipsoids.covariance_factor)(children.quats, children.scales)
+    offsets = jnp.einsum("nij,nj->ni", factors, jax.random.normal(key, children.means.shape))
+    children = replace(
+        children,
+        means=jnp.where(split[:, None], children.means + offsets, children.means),
+        log_scales=jnp.where(split[:, None], children.log_scales - math.log(shrink), children.log_scales),
+    )
+    return with_empty_slots(children, count)

@@ -1,0 +1,29 @@
+"""No density control: the Gaussians of the start stay."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from jaxtyping import PRNGKeyArray
+
+from splatax.gaussians import Gaussians
+from splatax.splats import Splats
+from splatax.training.density.protocol import Refinement
+
+
+@dataclass(frozen=True)
+class Fixed:
+    """Leaves the number of Gaussians as it is."""
+
+    def init(self, capacity: int) -> tuple[()]:
+        return ()
+
+    def observe(self, state: Any, splats: Splats, d_splats: Splats) -> Any:
+        return state
+
+    def due(self, step: int) -> bool:
+        return False
+
+    def refine(
+        self, state: Any, gaussians: Gaussians, count: int, step: int, extent: float, key: PRNGKeyArray
+    ) -> Refinement:
+        raise AssertionError("never due")

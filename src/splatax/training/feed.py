@@ -1,0 +1,47 @@
+"""Training views in random order, as batches for the device."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, UInt8
+
+from splatax.camera import Camera
+from splatax.dataset import Pixels, View
+from splatax.errors import DatasetError
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Batch:
+    """One view: its camera, and its photo as 8-bit RGB or RGBA."""
+
+    camera: Camera
+    photo: UInt8[Array, "h w c"]
+
+
+def batches(views: Sequence[View], seed: int) -> Iterator[Batch]:
+    """All views in a new random order, again and again. Photos are decoded once and kept, 8-bit."""
+    rng = np.random.default_rng(seed)
+    decoded: dict[int, Pixels] = {}
+    while True:
+        for index in rng.permutation(len(views)).tolist():
+            if index not in decoded:
+                decoded[index] = checked(views[index])
+            yield Batch(views[index].camera, jnp.asarray(decoded[index]))
+
+
+def checked(view: View) -> Pixels:
+    """The view's photo.
+
+    Raises:
+        DatasetError: if it is not of the camera's size.
+    """
+    pixels = view.pixels()
+    height, width = pixels.shape[:2]
+    if (width, height) != (view.camera.width, view.camera.height):
+        expected = f"{view.camera.width} x {view.camera.height}"
+        raise DatasetError(f"{view.name}: the photo has {width} x {height} pixels, its camera {expected}.")
+    return pixels

@@ -1,0 +1,120 @@
+"""The first Gaussians: from points of structure from motion, or at random where cameras look."""
+
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from splatax.camera import Camera
+from splatax.dataset import Dataset
+from splatax.errors import DatasetError
+from splatax.gaussians import Gaussians
+from splatax.math import harmonics
+from splatax.math.neighbours import mean_squared_distances
+
+SMALLEST = 0.01  # of the median distance between neighbours: size of points that coincide
+
+
+@dataclass(frozen=True)
+class FromPoints:
+    """A round Gaussian on each point, as large as its neighbours are far (Kerbl et al. 2023)."""
+
+    opacity: float = 0.1
+    scale: float = 1.0  # times the root mean square distance to the 3 nearest points
+
+    def __call__(self, dataset: Dataset, sh_degree: int, seed: int) -> Gaussians:
+        """The start of training on a capture.
+
+        Raises:
+            DatasetError: if the capture has no points.
+        """
+        points = dataset.points
+        if not len(points):
+            raise DatasetError(
+                "The capture has no points to start from. Start at random: --init random, or "
+                "Recipe(initialization=InFrusta())."
+            )
+        return _round_gaussians(
+            points.positions, points.colors, self.opacity, self.scale, sh_degree, dataset.extent
+        )
+
+
+@dataclass(frozen=True)
+class InFrusta:
+    """Round Gaussians of random colour, spread over what the training cameras see."""
+
+    count: int = 20_000
+    opacity: float = 0.1
+    scale: float = 1.0  # times the root mean square distance to the 3 nearest
+    nearest: float = 0.3  # of the distance to where the cameras look
+    farthest: float = 4.0  # of it; even in inverse depth between
+
+    def __call__(self, dataset: Dataset, sh_degree: int, seed: int) -> Gaussians:
+        """The start of training on a capture."""
+        rng = np.random.default_rng(seed)
+        cameras = [view.camera for view in dataset.train]
+        distance = focus_distance(cameras, dataset.extent)
+        chosen = rng.integers(len(cameras), size=self.count)
+        inverse_depth = rng.uniform(1 / self.farthest, 1 / self.nearest, self.count) / distance
+        pixels = rng.uniform(size=(self.count, 2))
+        positions = np.empty((self.count, 3), np.float32)
+        for index, camera in enumerate(cameras):
+            rows = chosen == index
+            positions[rows] = unproject(camera, pixels[rows], 1 / inverse_depth[rows])
+        colors = rng.uniform(size=(self.count, 3)).astype(np.float32)
+        return _round_gaussians(positions, colors, self.opacity, self.scale, sh_degree, dataset.extent)
+
+
+def focus_distance(cameras: list[Camera], extent: float) -> float:
+    """How far the cameras look: the median distance to the point nearest to all optical axes.
+
+    Where axes are nearly parallel that point is nowhere in particular; it is then taken within 1
+    to 10 extents of the scene.
+    """
+    rotations = np.stack([np.asarray(camera.rotation, np.float64) for camera in cameras])
+    positions = np.stack([np.asarray(camera.position, np.float64) for camera in cameras])
+    axes = rotations[:, 2]
+    # Least squares over projections onto the planes across each axis.
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    focus = np.linalg.lstsq(across.sum(0), np.einsum("nij,nj->i", across, positions), rcond=None)[0]
+    distance = float(np.median(np.einsum("ni,ni->n", focus - positions, axes)))
+    return float(np.clip(distance, extent, 10 * extent))
+
+
+def unproject(
+    camera: Camera, fractions: Float[np.ndarray, "n 2"], depths: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "n 3"]:
+    """World points at fractions of the image and at camera depths."""
+    pixels = fractions * [camera.width, camera.height]
+    slopes = (pixels - [float(camera.cx), float(camera.cy)]) / [float(camera.fx), float(camera.fy)]
+    local = np.concatenate([slopes, np.ones((len(slopes), 1))], axis=1) * depths[:, None]
+    rotation, translation = (
+        np.asarray(camera.rotation, np.float64),
+        np.asarray(camera.translation, np.float64),
+    )
+    return ((local - translation) @ rotation).astype(np.float32)
+
+
+def _round_gaussians(
+    positions: Float[np.ndarray, "n 3"],
+    colors: Float[np.ndarray, "n 3"],
+    opacity: float,
+    scale: float,
+    sh_degree: int,
+    extent: float,
+) -> Gaussians:
+    distances = np.sqrt(mean_squared_distances(positions))
+    apart = distances[distances > 0]
+    typical = float(np.median(apart)) if len(apart) else SMALLEST * extent
+    sizes = scale * np.maximum(distances, SMALLEST * typical)
+    n = len(positions)
+    sh = np.zeros((n, harmonics.count(sh_degree), 3), np.float32)
+    sh[:, 0] = harmonics.from_rgb(colors)
+    return Gaussians(
+        means=jnp.asarray(positions, jnp.float32),
+        quats=jnp.tile(jnp.array([1.0, 0, 0, 0]), (n, 1)),
+        log_scales=jnp.asarray(np.repeat(np.log(sizes)[:, None], 3, axis=1), jnp.float32),
+        opacity_logits=jnp.full(n, np.log(opacity / (1 - opacity)), jnp.float32),
+        sh=jnp.asarray(sh),
+    )

@@ -1,0 +1,286 @@
+"""COLMAP captures: a small one written by pycolmap itself, then broken in every usual way."""
+
+import shutil
+from dataclasses import replace as dataclass_replace
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pycolmap
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from PIL import Image
+
+import splatax as sx
+from splatax.errors import DatasetError
+
+SIZE = (64, 48)
+POINTS = np.random.default_rng(0).uniform(-1, 1, (30, 3))
+
+
+def pinhole(camera_id=1, size=SIZE):
+    return pycolmap.Camera(
+        model="PINHOLE", width=size[0], height=size[1], params=[60, 61, 30, 25], camera_id=camera_id
+    )
+
+
+def radial(camera_id=1):
+    return pycolmap.Camera(
+        model="SIMPLE_RADIAL", width=SIZE[0], height=SIZE[1], params=[60, 32, 24, 0.05], camera_id=camera_id
+    )
+
+
+def model_of(names, camera) -> pycolmap.Reconstruction:
+    """Cameras in a row that look along z at points around the origin; observations are exact."""
+    model = pycolmap.Reconstruction()
+    model.add_camera_with_trivial_rig(camera)
+    ids = [
+        model.add_point3D(p + [0, 0, 5], pycolmap.Track(), np.array([10, 20, 30], np.uint8)) for p in POINTS
+    ]
+    for i, name in enumerate(names, start=1):
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d([0, 0.02 * i, 0, 1]), np.array([0.1 * i, 0, 0]))
+        image = pycolmap.Image(name=name, camera_id=camera.camera_id, image_id=i)
+        image.points2D = [pycolmap.Point2D(camera.img_from_cam(pose * model.point3D(j).xyz)) for j in ids]
+        model.add_image_with_trivial_frame(image, pose)
+        for k, j in enumerate(ids):
+            model.add_observation(j, pycolmap.TrackElement(i, k))
+    return model
+
+
+def write_capture(folder: Path, count=9, camera=None, text=False, size=SIZE, mode="RGB") -> Path:
+    names = [f"photo{i:02}.png" for i in range(count)]
+    model = model_of(names, camera or pinhole())
+    sparse = folder / "sparse" / "0"
+    sparse.mkdir(parents=True)
+    (model.write_text if text else model.write_binary)(sparse)
+    (folder / "images").mkdir()
+    rng = np.random.default_rng(1)
+    for name in names:
+        pixels = rng.integers(0, 255, (size[1], size[0], len(mode)), np.uint8)
+        Image.fromarray(pixels, mode).save(folder / "images" / name)
+    return folder
+
+
+@pytest.fixture
+def capture(tmp_path):
+    return write_capture(tmp_path / "capture")
+
+
+def test_a_known_point_projects_to_its_known_pixel(capture):
+    view = sx.load_dataset(capture).train[0]
+    rotation = pycolmap.Rotation3d([0, 0.04, 0, 1]).matrix()
+    x, y, z = rotation @ (POINTS[3] + [0, 0, 5]) + [0.2, 0, 0]
+    expected = [60 * x / z + 30, 61 * y / z + 25]
+    assert view.name == "photo01.png"
+    point = jnp.asarray(POINTS[3] + [0, 0, 5], jnp.float32)
+    assert_allclose(view.camera.to_pixel(view.camera.to_camera(point)), expected, rtol=1e-5)
+
+
+def test_every_eighth_photo_by_name_is_held_out(capture):
+    dataset = sx.load_dataset(capture)
+    assert [view.name for view in dataset.test] == ["photo00.png", "photo08.png"]
+    assert len(dataset.train) == 7
+
+
+def test_notes_tell_what_was_found(capture):
+    (capture / "images" / "unused.jpg").write_bytes((capture / "images" / "photo00.png").read_bytes())
+    notes = " / ".join(sx.load_dataset(capture).notes)
+    assert "9 of 10 photos registered, 2 held out" in notes
+    assert "30 points; photos 64 x 48 from images/" in notes
+    assert "median reprojection error 0.00 px (270 observations)" in notes
+
+
+def test_reprojection_error_is_that_of_the_observations(tmp_path):
+    capture = write_capture(tmp_path / "capture")
+    model = pycolmap.Reconstruction(capture / "sparse" / "0")
+    for image in model.images.values():
+        for point in image.points2D:
+            point.xy = point.xy + [3, 4]
+    model.write_binary(capture / "sparse" / "0")
+    assert "median reprojection error 5.00 px" in " ".join(sx.load_dataset(capture).notes)
+
+
+def test_text_and_binary_models_are_the_same_capture(tmp_path):
+    binary = sx.load_dataset(write_capture(tmp_path / "binary"))
+    text = sx.load_dataset(write_capture(tmp_path / "text", text=True))
+    assert_array_equal(binary.points.positions, text.points.positions)
+    for a, b in zip(binary.views, text.views, strict=True):
+        for x, y in zip(jax.tree.leaves(a.camera), jax.tree.leaves(b.camera), strict=True):
+            assert_allclose(x, y, rtol=1e-6)
+
+
+def test_files_of_older_colmap_without_rigs_and_frames_load(capture):
+    for name in ("rigs.bin", "frames.bin"):
+        (capture / "sparse" / "0" / name).unlink()
+    assert len(sx.load_dataset(capture).views) == 9
+
+
+def test_the_largest_of_several_models_is_used_and_said(capture):
+    smaller = capture / "sparse" / "1"
+    smaller.mkdir()
+    model_of(["photo00.png", "photo01.png"], pinhole()).write_binary(smaller)
+    dataset = sx.load_dataset(capture)
+    assert len(dataset.views) == 9
+    assert dataset.notes[0] == "2 models (0: 9 photos, 1: 2 photos); using the largest, 0"
+
+
+@pytest.mark.parametrize("downscale", [None, 2])
+def test_intrinsics_follow_the_real_size_of_the_photos(tmp_path, downscale):
+    """Photos half as large as the model's, then shrunk again in memory: by area, not by points."""
+    capture = write_capture(tmp_path / "capture", size=(32, 24))
+    view = sx.load_dataset(capture, downscale=downscale).train[0]
+    scale = 0.5 / (downscale or 1)
+    assert (view.camera.width, view.camera.height) == (round(64 * scale), round(48 * scale))
+    assert_allclose(
+        [view.camera.fx, view.camera.fy, view.camera.cx, view.camera.cy], np.array([60, 61, 30, 25]) * scale
+    )
+    photo = np.asarray(Image.open(capture / "images" / view.name), np.float64)
+    if downscale:
+        photo = photo.reshape(12, 2, 16, 2, 3).mean((1, 3))
+    assert np.abs(view.pixels() - photo).max() <= 1  # rounded after each axis
+
+
+def test_a_folder_of_shrunk_photos_is_used_where_there_is_one(capture):
+    (capture / "images_2").mkdir()
+    for photo in (capture / "images").iterdir():
+        Image.new("RGB", (32, 24), "red").save(capture / "images_2" / f"{photo.stem}.jpg")
+    dataset = sx.load_dataset(capture, downscale=2)
+    assert "from images_2/" in dataset.notes[1]
+    assert dataset.train[0].pixels()[0, 0].tolist() == [254, 0, 0]
+
+
+def test_photos_wider_than_1600_pixels_are_shrunk_unless_told(tmp_path):
+    capture = write_capture(tmp_path / "capture", count=2, camera=pinhole(size=(1700, 100)), size=(1700, 100))
+    assert sx.load_dataset(capture).train[0].pixels().shape == (50, 850, 3)
+    assert sx.load_dataset(capture, downscale=1).train[0].pixels().shape == (100, 1700, 3)
+
+
+def test_alpha_is_kept_and_weighs_colour_when_shrinking(tmp_path):
+    capture = write_capture(tmp_path / "capture", mode="RGBA")
+    pixels = np.zeros((48, 64, 4), np.uint8)
+    pixels[:, ::2] = (200, 100, 50, 255)  # opaque, beside transparent black
+    Image.fromarray(pixels).save(capture / "images" / "photo01.png")
+    shrunk = sx.load_dataset(capture, downscale=2).train[0].pixels()
+    assert_array_equal(shrunk[5, 5], [200, 100, 50, 128])
+
+
+def test_distorted_photos_become_a_pinholes(tmp_path):
+    """A grid of the distorted lens is straight after loading: points land where a pinhole sees them."""
+    capture = write_capture(tmp_path / "capture", camera=radial())
+    model = pycolmap.Reconstruction(capture / "sparse" / "0")
+    image = model.find_image_with_name("photo01.png")
+    canvas = np.zeros((48, 64, 3))
+    y, x = np.mgrid[:48, :64] + 0.5
+    marked = [p.xy for p in image.points2D if np.all(p.xy > 6) and np.all(p.xy < np.array(SIZE) - 6)][:3]
+    for channel, (mx, my) in enumerate(marked):
+        canvas[..., channel] = 255 * np.exp(-((x - mx) ** 2 + (y - my) ** 2) / 8)
+    Image.fromarray(canvas.astype(np.uint8)).save(capture / "images" / "photo01.png")
+
+    view = sx.load_dataset(capture).train[0]
+    pixels = view.pixels().astype(np.float64)
+    assert pixels.shape[:2] == (view.camera.height, view.camera.width)
+    y, x = np.mgrid[: pixels.shape[0], : pixels.shape[1]] + 0.5
+    slopes = model.camera(image.camera_id).cam_from_img(np.array(marked))
+    for channel, (sx_, sy) in enumerate(slopes):
+        weight = pixels[..., channel] / pixels[..., channel].sum()
+        centre = [np.sum(weight * x), np.sum(weight * y)]
+        expected = [view.camera.fx * sx_ + view.camera.cx, view.camera.fy * sy + view.camera.cy]
+        assert_allclose(centre, expected, atol=0.1)  # half a pixel off would be a wrong convention
+
+
+def test_a_photo_turned_by_exif_matches_its_camera(tmp_path):
+    capture = write_capture(tmp_path / "capture")
+    for photo in (capture / "images").iterdir():
+        exif = Image.Exif()
+        exif[0x0112] = 6
+        image = Image.open(photo).rotate(90, expand=True)
+        image.save(photo.with_suffix(".jpg"), exif=exif, quality=95)
+        photo.unlink()
+    assert sx.load_dataset(capture).train[0].pixels().shape == (48, 64, 3)
+
+
+# --- bad input: one sentence with the path and the way out ---
+
+
+def load_all(path):
+    return [view.pixels() for view in sx.load_dataset(path).views]
+
+
+def refuse(path, *, match, names):
+    with pytest.raises(DatasetError, match=match) as error:
+        load_all(path)
+    assert str(names) in str(error.value)
+
+
+def test_missing_folder_and_file(tmp_path, capture):
+    refuse(tmp_path / "nowhere", match="no such folder", names=tmp_path / "nowhere")
+    refuse(capture / "images" / "photo00.png", match="a file, not a folder", names="photo00.png")
+
+
+def test_folder_without_a_model(capture):
+    shutil.rmtree(capture / "sparse")
+    refuse(capture, match="It looked for COLMAP's cameras, images and points3D", names=capture)
+
+
+@pytest.mark.parametrize("name", ["cameras.bin", "images.bin", "points3D.bin"])
+@pytest.mark.parametrize("keep", [0, 5, 0.5, -3])
+def test_truncated_model(capture, name, keep):
+    path = capture / "sparse" / "0" / name
+    contents = path.read_bytes()
+    path.write_bytes(contents[: int(len(contents) * keep) if isinstance(keep, float) else keep])
+    refuse(capture, match="damaged", names=path)
+
+
+def test_model_of_noise(capture):
+    path = capture / "sparse" / "0" / "images.bin"
+    path.write_bytes(np.random.default_rng(0).bytes(5000))
+    refuse(capture, match="damaged", names=path)
+
+
+@pytest.mark.parametrize("name", ["cameras.txt", "images.txt"])
+def test_truncated_text_model(tmp_path, name):
+    capture = write_capture(tmp_path / "capture", text=True)
+    path = capture / "sparse" / "0" / name
+    path.write_text(path.read_text()[:60])
+    refuse(capture, match="damaged", names=path.parent)
+
+
+def test_photo_missing_on_disk(capture):
+    (capture / "images" / "photo03.png").unlink()
+    refuse(capture, match="the photo is missing, but the COLMAP model has it", names="photo03.png")
+
+
+def test_no_folder_of_photos(capture):
+    shutil.rmtree(capture / "images")
+    refuse(capture, match="no folder of photos", names=capture / "images")
+
+
+def test_photo_of_other_proportions(capture):
+    Image.new("RGB", (64, 40)).save(capture / "images" / "photo03.png")
+    refuse(capture, match="64 x 40 pixels, but its camera is 64 x 48", names="photo03.png")
+
+
+def test_photo_that_is_no_photo_or_damaged(capture):
+    path = capture / "images" / "photo03.png"
+    whole = path.read_bytes()
+    path.write_bytes(b"not a photo")
+    refuse(capture, match="not a photo that can be read", names="photo03.png")
+    path.write_bytes(whole[: len(whole) // 2])
+    refuse(capture, match="the photo is damaged", names="photo03.png")
+
+
+def test_no_points_is_refused_by_the_start_that_needs_them(tmp_path):
+    capture = write_capture(tmp_path / "capture")
+    model = pycolmap.Reconstruction(capture / "sparse" / "0")
+    model.delete_all_points2D_and_points3D()
+    model.write_binary(capture / "sparse" / "0")
+    dataset = sx.load_dataset(capture)
+    with pytest.raises(DatasetError, match=r"no points to start from. Start at random: --init random"):
+        next(sx.optimize(dataset, sx.Recipe(steps=1)))
+
+
+def test_views_are_the_same_whatever_is_held_out(capture):
+    dataset = sx.load_dataset(capture)
+    swapped = dataclass_replace(dataset, train=dataset.test, test=dataset.train)
+    assert [view.name for view in swapped.views] == [view.name for view in dataset.views]

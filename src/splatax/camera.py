@@ -31,6 +31,15 @@ class Camera:
     width: int = field(metadata={"static": True})
     height: int = field(metadata={"static": True})
 
+    @classmethod
+    def simple_pinhole(
+        cls, focal: float, cam_from_world: Float[Array, "4 4"], width: int, height: int
+    ) -> "Camera":
+        """A camera with one focal length, pixels, and its principal point at the image's centre."""
+        dtype = cam_from_world.dtype
+        f, cx, cy = (jnp.asarray(value, dtype) for value in (focal, width / 2, height / 2))
+        return cls(f, f, cx, cy, cam_from_world, width, height)
+
     @property
     def rotation(self) -> Float[Array, "3 3"]:
         """From world to camera axes."""

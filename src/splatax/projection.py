@@ -52,6 +52,7 @@ class Antialiasing:
 
 
 LowPass = Dilation | Antialiasing  # what keeps a splat from falling between pixels
+LOW_PASSES: dict[str, LowPass] = {"dilation": Dilation(), "antialiasing": Antialiasing()}
 
 
 class Projected(NamedTuple):

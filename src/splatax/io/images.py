@@ -1,6 +1,6 @@
 """Photos and pictures: decode, measure, resize, encode."""
 
-import os
+import io
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +9,7 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 
 from splatax.dataset import Pixels
 from splatax.errors import DatasetError
+from splatax.io.files import write_whole
 
 SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"}
 
@@ -73,9 +74,9 @@ def _area_mean(values: np.ndarray, width: int, height: int) -> np.ndarray:
 
 def write(path: Path, pixels: UInt8[np.ndarray, "h w 3"]) -> None:
     """Writes a PNG, whole or not at all."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    Image.fromarray(pixels).save(temporary, "PNG")
-    os.replace(temporary, path)
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, "PNG")
+    write_whole(path, buffer.getvalue())
 
 
 def _open(path: Path) -> Image.Image:

@@ -39,6 +39,12 @@ class Progress:
         it before, or keep the last one."""
         return jax.tree.map(lambda leaf: jnp.array(leaf[: self.count]), self._state.gaussians)
 
+    @property
+    def padded(self) -> Gaussians:
+        """The same scene with its empty slots, valid until the next step. To look at a scene that
+        grows, render this: its shape, and with it the compiled program, changes rarely."""
+        return self._state.gaussians
+
 
 def fit(dataset: Dataset, recipe: Recipe) -> Gaussians:
     """Trains a scene to the end; see `optimize`."""

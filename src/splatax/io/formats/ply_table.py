@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from splatax.errors import FormatError
+from splatax.io.files import write_whole
 
 TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
@@ -63,16 +64,7 @@ def write(path: Path, element: str, rows: np.ndarray, comments: tuple[str, ...])
         f"element {element} {len(rows)}",
         *(f"property float {name}" for name in rows.dtype.names or ()),
     ]
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with temporary.open("wb") as file:
-            file.write("\n".join([*header, "end_header", ""]).encode())
-            file.write(rows.tobytes())
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    write_whole(path, "\n".join([*header, "end_header", ""]).encode() + rows.tobytes())
 
 
 def _header_of(path: Path, beginning: bytes) -> tuple[list[str], int]:

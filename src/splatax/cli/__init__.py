@@ -1,0 +1,49 @@
+"""The command line: the library's first user."""
+
+import sys
+from collections.abc import Sequence
+from typing import Annotated
+
+import tyro
+
+from splatax.cli.bench import Bench
+from splatax.cli.demo import Demo
+from splatax.cli.evaluate import Evaluate
+from splatax.cli.platform import keep_compiled_programs
+from splatax.cli.render import Render
+from splatax.cli.train import Train
+from splatax.errors import InputError
+
+Command = (
+    Annotated[Train, tyro.conf.subcommand("train")]
+    | Annotated[Evaluate, tyro.conf.subcommand("eval")]
+    | Annotated[Render, tyro.conf.subcommand("render")]
+    | Annotated[Demo, tyro.conf.subcommand("demo")]
+    | Annotated[Bench, tyro.conf.subcommand("bench")]
+)
+DESCRIPTION = "3D Gaussian Splatting in JAX: from photos to a scene, on CPU, GPU and TPU."
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Runs a command. Bad input is one sentence on stderr and exit code 2, never a traceback."""
+    command = tyro.cli(
+        Command,
+        args=arguments,
+        prog="splatax",
+        description=DESCRIPTION,
+        config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
+    )
+    keep_compiled_programs()
+    try:
+        command.run()
+    except InputError as error:
+        sys.exit(_refused(error))
+    except OSError as error:
+        sys.exit(_refused(f"{error.filename or 'a file'}: {error.strerror or error}."))
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+def _refused(reason: object) -> int:
+    print(f"splatax: {reason}", file=sys.stderr)
+    return 2

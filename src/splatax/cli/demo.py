@@ -1,0 +1,40 @@
+"""`splatax demo`: a scene out of nothing, to see that all works."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from splatax.cli.session import claim
+from splatax.cli.train import Train
+from splatax.demo.capture import PHOTOS, SIZE, write_capture
+
+
+@dataclass(frozen=True)
+class Demo:
+    """Photograph a procedural still life, train on the photos, and say where the report is.
+
+    Needs no data. The capture is left in OUT/capture, in COLMAP's layout; the rest is as `splatax
+    train` writes it.
+    """
+
+    out: Path = Path("runs/demo")
+    """Folder for the capture and the results."""
+    steps: int = 2_000
+    """How many photos to learn from, one after the other."""
+    seed: int = 0
+    """Of all randomness."""
+    overwrite: bool = False
+    """Replace the results of an earlier run in the same folder."""
+
+    def run(self) -> None:
+        claim(self.out, self.overwrite)
+        capture = self.out / "capture"
+        print(f"drawing {PHOTOS} photos of {SIZE[0]} x {SIZE[1]} pixels into {capture}")
+        write_capture(capture)
+        Train(
+            capture,
+            self.out,
+            steps=self.steps,
+            seed=self.seed,
+            eval_every=max(self.steps // 8, 1),
+            overwrite=True,
+        ).run()

@@ -1,0 +1,74 @@
+"""Options that several commands share, and a model as they are given one: a file, or a run."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import splatax as sx
+from splatax import rasterizers
+from splatax.errors import InputError
+from splatax.io.formats import ply
+from splatax.projection import LOW_PASSES, LowPass
+from splatax.training.backgrounds import BACKGROUNDS
+
+Downscale = Literal["auto"] | int
+BackendName = Literal["auto", *rasterizers.BACKENDS]  # type: ignore[valid-type]
+BackgroundName = Literal[*BACKGROUNDS]  # type: ignore[valid-type]
+LowPassName = Literal[*LOW_PASSES]  # type: ignore[valid-type]
+
+
+@dataclass(frozen=True)
+class Model:
+    """A trained scene, and how it was trained where that is known."""
+
+    path: Path
+    gaussians: sx.Gaussians
+    options: dict[str, Any]  # of the run that made it; empty if unknown
+    low_pass: LowPass
+
+
+def read_model(path: Path, low_pass: str | None) -> Model:
+    """Reads a splat file, or the scene.ply of a run's folder, and the config.json beside it.
+
+    Args:
+        path: of the file or folder.
+        low_pass: the name of one to use instead of the one in the file.
+
+    Raises:
+        InputError: if there is no model, or it cannot be read.
+    """
+    if path.is_dir():
+        if not (path / "scene.ply").exists():
+            raise InputError(
+                f"{path}: no scene.ply in this folder. Give a splat file, or the folder of a run."
+            )
+        path = path / "scene.ply"
+    gaussians = sx.load(path)
+    marked = "SplatRenderMode: mip" in (ply.comments(path) if path.suffix.lower() == ".ply" else ())
+    name = low_pass or ("antialiasing" if marked else "dilation")
+    try:
+        options = json.loads((path.parent / "config.json").read_text())["options"]
+    except (OSError, ValueError, KeyError):
+        options = {}
+    return Model(path, gaussians, options, LOW_PASSES[name])
+
+
+def load_scene(scene: Path, downscale: Downscale | None, model: Model | None = None) -> sx.Dataset:
+    """Loads a capture, at the size that a model was trained at unless told otherwise."""
+    chosen = downscale or (model.options.get("downscale") if model else None) or "auto"
+    if chosen != "auto" and int(chosen) < 1:
+        raise InputError(f'--downscale: "auto" or a whole number from 1, not {chosen}.')
+    return sx.load_dataset(scene, downscale=None if chosen == "auto" else int(chosen))
+
+
+def resolve_backend(name: str) -> str:
+    """The rasterizer to use.
+
+    Raises:
+        InputError: if it cannot run here.
+    """
+    try:
+        return rasterizers.resolve(name)
+    except ValueError as error:
+        raise InputError(f"--backend: {error}.") from error

@@ -1,0 +1,145 @@
+"""The files that a run leaves: scene.ply, metrics.json, config.json, progress.gif, report.html."""
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import splatax as sx
+from splatax.cli.display import duration
+from splatax.cli.platform import device, peak_memory, versions
+from splatax.evaluation import Scores, ViewScore, photo_of, picture
+from splatax.io.files import write_whole
+from splatax.metrics import SSIM_PROTOCOL, psnr, ssim
+from splatax.projection import Antialiasing
+from splatax.report.history import Evaluation, History
+from splatax.report.page import Comparison, report
+from splatax.report.pictures import animation
+
+
+@dataclass(frozen=True)
+class Run:
+    """A finished run, and where its files go."""
+
+    title: str
+    dataset: sx.Dataset
+    recipe: sx.Recipe
+    history: History
+    gaussians: sx.Gaussians
+    config: Mapping[str, Any]  # the options that it was started with
+    out: Path
+
+    def write(self) -> Scores | None:
+        """Writes all files, the scene first. Returns the scores of the test views, if there are any."""
+        mode = "mip" if isinstance(self.recipe.low_pass, Antialiasing) else "default"
+        sx.save(self.out / "scene.ply", self.gaussians, comments=(f"SplatRenderMode: {mode}",))
+        comparisons = [self.compare(view) for view in self.dataset.test or self.dataset.train]
+        scores = Scores(tuple(comparison.score for comparison in comparisons))
+        test = scores if self.dataset.test else None
+        if test:
+            self.history.evaluations.append(Evaluation(self.history.steps, self.history.train_seconds, test))
+        write_json(self.out / "metrics.json", self.metrics(test))
+        write_json(self.out / "config.json", self.repeatable())
+        gif = animation(self.history.frames) if self.history.frames else b""
+        write_whole(self.out / "progress.gif", gif)
+        page = report(self.title, self.summary(scores), self.dataset.notes, self.history, comparisons, gif)
+        write_whole(self.out / "report.html", page.encode())
+        return test
+
+    def compare(self, view: sx.View) -> Comparison:
+        """The photo of a view and the scene from there."""
+        background = self.recipe.background.rgb
+        photo = photo_of(view, background)
+        image = picture(
+            self.gaussians,
+            view.camera,
+            background=background,
+            low_pass=self.recipe.low_pass,
+            backend=self.recipe.backend,
+        )
+        return Comparison(ViewScore(view.name, psnr(image, photo), ssim(image, photo)), photo, image)
+
+    def metrics(self, test: Scores | None) -> dict[str, Any]:
+        """What was measured, and how."""
+        return {
+            "test": scores_as_json(test) if test else None,
+            "train_seconds": self.history.train_seconds,
+            "steps": self.history.steps,
+            "interrupted": self.history.interrupted,
+            "gaussians": len(self.gaussians),
+            "final_loss": float(self.history.losses[-1]),
+            "peak_rss_bytes": peak_memory(),
+            "evaluations": [
+                {"step": e.step, "seconds": e.seconds, "psnr": e.scores.psnr, "ssim": e.scores.ssim}
+                for e in self.history.evaluations
+            ],
+            "protocol": protocol(self.recipe.background.rgb)
+            | {"train_seconds": "wall time of all steps, compilation included, evaluation and pictures not"},
+        }
+
+    def repeatable(self) -> dict[str, Any]:
+        """Everything that is needed to make the run again."""
+        return {
+            "options": as_json(self.config),
+            "recipe": as_json(self.recipe),
+            "capture": list(self.dataset.notes),
+            "device": device(),
+            "versions": versions(),
+        }
+
+    def summary(self, scores: Scores) -> dict[str, str]:
+        """For the top of the report."""
+        kind = "test" if self.dataset.test else "training"
+        used = peak_memory()
+        return {
+            f"PSNR of {len(scores.views)} {kind} views": f"{scores.psnr:.2f} dB",
+            "SSIM": f"{scores.ssim:.4f}",
+            "Gaussians": f"{len(self.gaussians):,}",
+            "steps" + (", then interrupted" if self.history.interrupted else ""): f"{self.history.steps:,}",
+            "training": duration(self.history.train_seconds),
+            "peak memory": f"{used / 1e9:.2f} GB" if used else "unknown",
+            "device": device(),
+        }
+
+
+def protocol(background: tuple[float, float, float]) -> dict[str, str]:
+    """How scores are made."""
+    return {
+        "split": "every 8th photo by sorted name, from the first, is held out",
+        "images": "rounded to 8 bits, at the size they were loaded in",
+        "psnr": "per view over all RGB values, then the mean over views",
+        "ssim": SSIM_PROTOCOL,
+        "background": str(background),
+    }
+
+
+def scores_as_json(scores: Scores) -> dict[str, Any]:
+    """Means, and each view."""
+    views = [{"name": view.name, "psnr": view.psnr, "ssim": view.ssim} for view in scores.views]
+    return {"psnr": scores.psnr, "ssim": scores.ssim, "views": views}
+
+
+def as_json(value: Any) -> Any:
+    """Plain values; a dataclass becomes its name and fields."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {"type": type(value).__name__} | {
+            f.name: as_json(getattr(value, f.name)) for f in fields(value)
+        }
+    if isinstance(value, Mapping):
+        return {key: as_json(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [as_json(item) for item in value]
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return value
+
+
+def write_json(path: Path, contents: Any) -> None:
+    """Writes a JSON file, whole or not at all; numbers that are not finite become null."""
+    write_whole(path, (json.dumps(as_json(contents), indent=2) + "\n").encode())

@@ -1,0 +1,112 @@
+"""One run as the command line makes it: training, watched."""
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import splatax as sx
+from splatax.cli.display import Display
+from splatax.errors import InputError
+from splatax.evaluation import picture
+from splatax.io.files import write_whole
+from splatax.report.history import Evaluation, History
+
+FRAMES = 20  # of the animation, evenly spaced over the logarithm of steps
+
+
+def claim(out: Path, overwrite: bool) -> None:
+    """Makes the folder of a run, before any work is done for it.
+
+    Raises:
+        InputError: if it holds results that must not be replaced, or cannot be written to.
+    """
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: a file, not a folder. Choose another --out.")
+    if (out / "scene.ply").exists() and not overwrite:
+        raise InputError(
+            f"{out}: holds the results of a run. Choose another --out, or replace it: --overwrite."
+        )
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        write_whole(out / ".writable", b"")
+        (out / ".writable").unlink()
+    except OSError as error:
+        raise InputError(f"{out}: cannot be written to ({error.strerror}). Choose another --out.") from error
+
+
+@dataclass
+class Stopwatch:
+    """Seconds that count, without those spent on looking."""
+
+    began: float
+    paused: float = 0.0
+
+    def seconds(self) -> float:
+        return time.monotonic() - self.began - self.paused
+
+
+def train(dataset: sx.Dataset, recipe: sx.Recipe, eval_every: int) -> tuple[History, sx.Gaussians]:
+    """Trains with a progress bar, evaluations and pictures of one view.
+
+    Ctrl-C ends training early, with what has been reached until then.
+
+    Args:
+        dataset: the capture.
+        recipe: how.
+        eval_every: steps between evaluations of the test views; 0 for none.
+    """
+    history = History()
+    progress = None
+    frames = {round(recipe.steps ** (i / (FRAMES - 1))) for i in range(FRAMES)}
+    with Display(recipe.steps) as display:
+        display.announce("compiling the first step")
+        watch = Stopwatch(time.monotonic())
+        try:
+            for progress in sx.optimize(dataset, recipe):
+                history.losses.append(progress.loss)
+                history.counts.append(progress.count)
+                display.step(progress.step, progress.loss, progress.count)
+                evaluated = bool(eval_every) and progress.step % eval_every == 0
+                if evaluated or progress.step in frames:
+                    progress.loss.block_until_ready()
+                    seconds = watch.seconds()
+                    if progress.step in frames:
+                        history.frames.append(frame(progress, dataset, recipe))
+                    if evaluated and dataset.test and progress.step < recipe.steps:
+                        evaluation = evaluate(progress, dataset, recipe, seconds)
+                        history.evaluations.append(evaluation)
+                        display.psnr = evaluation.scores.psnr
+                    watch.paused += watch.seconds() - seconds
+        except KeyboardInterrupt:
+            if progress is None:
+                raise
+            history.interrupted = True
+        assert progress is not None
+        progress.loss.block_until_ready()
+        history.train_seconds = watch.seconds()
+    return history, progress.gaussians
+
+
+def evaluate(progress: sx.Progress, dataset: sx.Dataset, recipe: sx.Recipe, seconds: float) -> Evaluation:
+    """The test views in the middle of a run."""
+    scores = sx.evaluate(
+        progress.padded,
+        dataset.test,
+        background=recipe.background.rgb,
+        low_pass=recipe.low_pass,
+        backend=recipe.backend,
+    )
+    return Evaluation(progress.step, seconds, scores)
+
+
+def frame(progress: sx.Progress, dataset: sx.Dataset, recipe: sx.Recipe):
+    """A picture of the first test view, for the animation."""
+    camera = (dataset.test or dataset.train)[0].camera
+    image = picture(
+        progress.padded,
+        camera,
+        background=recipe.background.rgb,
+        low_pass=recipe.low_pass,
+        backend=recipe.backend,
+    )
+    return f"step {progress.step:,}   {progress.count:,} Gaussians", image

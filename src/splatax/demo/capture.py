@@ -1,0 +1,84 @@
+"""The still life as a capture in COLMAP's layout, with exact cameras and surface points."""
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pycolmap
+
+from splatax.camera import Camera, look_at
+from splatax.demo.raycast import look, photograph, visible
+from splatax.io import images
+
+PHOTOS = 24
+SIZE = (160, 120)  # pixels
+FOCAL = 175.0  # pixels
+POINTS = 3000
+TARGET = np.array([-0.1, 0.05, 0.35])
+AZIMUTHS = (-30.0, 70.0)  # degrees from the back wall's normal; further left is behind the other wall
+ELEVATIONS = (14.0, 30.0, 46.0)  # degrees
+DISTANCE = 2.7
+
+
+def cameras() -> list[Camera]:
+    """Around the still life, in an order that puts every 8th, which is held out, among others."""
+    azimuths = np.linspace(*AZIMUTHS, PHOTOS)[(np.arange(PHOTOS) * 7 + PHOTOS // 2) % PHOTOS]
+    poses = []
+    for i, azimuth in enumerate(np.radians(azimuths)):
+        elevation = np.radians(ELEVATIONS[i % len(ELEVATIONS)])
+        level = np.array([np.sin(azimuth), -np.cos(azimuth), 0]) * np.cos(elevation)
+        position = TARGET + DISTANCE * (level + [0, 0, np.sin(elevation)])
+        poses.append(look_at(*(jnp.asarray(v, jnp.float32) for v in (position, TARGET, (0, 0, 1)))))
+    return [Camera.simple_pinhole(FOCAL, pose, *SIZE) for pose in poses]
+
+
+def write_capture(folder: Path) -> None:
+    """Writes photos to FOLDER/images and a model to FOLDER/sparse/0."""
+    (folder / "images").mkdir(parents=True, exist_ok=True)
+    (folder / "sparse" / "0").mkdir(parents=True, exist_ok=True)
+    views = {f"view{i:02}.png": camera for i, camera in enumerate(cameras())}
+    for name, camera in views.items():
+        images.write(folder / "images" / name, np.asarray(photograph(camera)))
+    model_of(views).write_binary(folder / "sparse" / "0")
+
+
+def model_of(views: dict[str, Camera]) -> pycolmap.Reconstruction:
+    """A COLMAP model whose points lie on what the cameras see, observed wherever they are visible."""
+    positions, colors = surface_points(list(views.values()))
+    model = pycolmap.Reconstruction()
+    width, height = SIZE
+    intrinsics = [FOCAL, FOCAL, width / 2, height / 2]
+    lens = pycolmap.Camera(model="PINHOLE", width=width, height=height, params=intrinsics, camera_id=1)
+    model.add_camera_with_trivial_rig(lens)
+    ids = [
+        model.add_point3D(position, pycolmap.Track(), np.round(255 * color).astype(np.uint8))
+        for position, color in zip(positions, np.clip(colors, 0, 1), strict=True)
+    ]
+    for image_id, (name, camera) in enumerate(views.items(), start=1):
+        pose = pycolmap.Rigid3d(np.asarray(camera.cam_from_world, np.float64)[:3])
+        pixels, visible = observations(camera, positions)
+        image = pycolmap.Image(name=name, camera_id=1, image_id=image_id)
+        image.points2D = pycolmap.Point2DList([pycolmap.Point2D(pixel) for pixel in pixels[visible]])
+        model.add_image_with_trivial_frame(image, pose)
+        for index, point in enumerate(np.flatnonzero(visible)):
+            model.add_observation(ids[point], pycolmap.TrackElement(image_id, index))
+    return model
+
+
+def surface_points(views: list[Camera]) -> tuple[np.ndarray, np.ndarray]:
+    """Points, and their colours as seen, where rays through random pixels meet a surface."""
+    rng = np.random.default_rng(0)
+    pixels = [rng.uniform(size=(POINTS // len(views), 2)) * SIZE for _ in views]
+    seen = [look(camera, jnp.asarray(p, jnp.float32)) for camera, p in zip(views, pixels, strict=True)]
+    colors, positions = (np.concatenate(part) for part in zip(*seen, strict=True))
+    met = np.isfinite(positions).all(axis=1)
+    return positions[met].astype(np.float64), colors[met]
+
+
+def observations(camera: Camera, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels of points, and which are inside the image with nothing in front of them."""
+    points = jnp.asarray(positions, jnp.float32)
+    pixels = np.asarray(jax.vmap(lambda point: camera.to_pixel(camera.to_camera(point)))(points), np.float64)
+    inside = np.all((pixels > 0) & (pixels < SIZE), axis=1)
+    return pixels, inside & np.asarray(visible(camera, points))

@@ -1,0 +1,42 @@
+"""Loss, test PSNR and the number of Gaussians over steps."""
+
+import io
+
+import numpy as np
+
+from splatax.report.history import History
+
+SMOOTHING = 50  # steps that the loss is averaged over
+
+
+def training_curves(history: History) -> str:
+    """Three plots side by side, as SVG."""
+    from matplotlib.figure import Figure  # slow to import
+
+    figure = Figure(figsize=(11, 2.8), layout="constrained")
+    loss_axes, psnr_axes, count_axes = figure.subplots(1, 3)
+    steps = np.arange(1, history.steps + 1)
+    losses = np.array([float(loss) for loss in history.losses])
+    loss_axes.semilogy(steps, losses, color="0.85", linewidth=0.6)
+    loss_axes.semilogy(*smoothed(steps, losses), color="C0")
+    loss_axes.set_title("training loss")
+    if history.evaluations:
+        evaluated = [(e.step, e.scores.psnr) for e in history.evaluations]
+        psnr_axes.plot(*zip(*evaluated, strict=True), "o-", color="C2", markersize=4)
+    psnr_axes.set_title("test PSNR, dB")
+    count_axes.plot(steps, history.counts, color="C1")
+    count_axes.set_title("Gaussians")
+    for axes in (loss_axes, psnr_axes, count_axes):
+        axes.set_xlabel("step")
+        axes.set_xlim(0, history.steps)
+        axes.grid(alpha=0.3)
+    buffer = io.StringIO()
+    figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+    return buffer.getvalue()[buffer.getvalue().index("<svg") :]
+
+
+def smoothed(steps: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Means over windows that lie inside."""
+    window = min(SMOOTHING, len(values))
+    means = np.convolve(values, np.full(window, 1 / window), mode="valid")
+    return steps[window // 2 : window // 2 + len(means)], means

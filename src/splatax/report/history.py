@@ -1,0 +1,41 @@
+"""What happened in a run, kept while it goes on."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from splatax.evaluation import Scores
+from splatax.report.pictures import Picture
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Of the test views, in the middle of a run or at its end."""
+
+    step: int
+    seconds: float  # of training before it
+    scores: Scores
+
+
+@dataclass
+class History:
+    """Grows with the run.
+
+    Attributes:
+        losses: of each step; numbers, or scalars on a device that are read at the end.
+        counts: of Gaussians after each step.
+        evaluations: of the test views.
+        frames: of one view, as (label, picture).
+        train_seconds: spent on steps, compilation included, evaluation and pictures not.
+        interrupted: whether the user stopped it early.
+    """
+
+    losses: list[Any] = field(default_factory=list)
+    counts: list[int] = field(default_factory=list)
+    evaluations: list[Evaluation] = field(default_factory=list)
+    frames: list[tuple[str, Picture]] = field(default_factory=list)
+    train_seconds: float = 0.0
+    interrupted: bool = False
+
+    @property
+    def steps(self) -> int:
+        return len(self.losses)

@@ -1,0 +1,72 @@
+"""Pictures for reports: error maps, depth in colour, the progress of training as an animation."""
+
+import base64
+import io
+from collections.abc import Sequence
+
+import matplotlib
+import numpy as np
+from jaxtyping import Float, UInt8
+from PIL import Image, ImageDraw
+
+Picture = UInt8[np.ndarray, "_ _ 3"]
+
+LARGEST_ERROR = 0.25  # of full scale: where the colours of error maps end
+REPORT_WIDTH = 720  # pixels; pictures in a report are shrunk to it
+FRAME_SECONDS, LAST_SECONDS = 0.25, 2.5  # of an animation
+LABEL_HEIGHT = 18  # pixels
+
+
+def error_map(image: Picture, photo: Picture) -> Picture:
+    """Mean absolute difference over RGB: black is none, bright yellow a quarter of full scale."""
+    error = np.mean(np.abs(image.astype(np.float32) - photo), axis=2) / 255
+    return colored(error / LARGEST_ERROR, "inferno")
+
+
+def depth_map(depth: Float[np.ndarray, "h w"], alpha: Float[np.ndarray, "h w"]) -> Picture:
+    """Depth in colour, near is bright, from the 2nd to the 98th percentile; black where nothing is."""
+    covered = alpha > 0.5
+    if not covered.any():
+        return np.zeros((*depth.shape, 3), np.uint8)
+    near, far = np.percentile(depth[covered], [2, 98])
+    shades = 1 - (depth - near) / max(far - near, 1e-12)
+    return np.where(covered[..., None], colored(shades, "viridis"), 0).astype(np.uint8)
+
+
+def colored(values: Float[np.ndarray, "h w"], colormap: str) -> Picture:
+    """Values in [0, 1] as colours; the rest is clipped."""
+    return matplotlib.colormaps[colormap](np.clip(values, 0, 1), bytes=True)[..., :3]
+
+
+def animation(frames: Sequence[tuple[str, Picture]]) -> bytes:
+    """Labelled pictures as a GIF that rests on the last."""
+    images = [_labelled(label, picture) for label, picture in frames]
+    durations = [FRAME_SECONDS * 1000] * (len(images) - 1) + [LAST_SECONDS * 1000]
+    palettes = [image.quantize(128, dither=Image.Dither.FLOYDSTEINBERG) for image in images]
+    buffer = io.BytesIO()
+    palettes[0].save(buffer, "GIF", save_all=True, append_images=palettes[1:], duration=durations, loop=0)
+    return buffer.getvalue()
+
+
+def data_uri(picture: Picture) -> str:
+    """A picture as a JPEG inside a page."""
+    image = Image.fromarray(picture)
+    if image.width > REPORT_WIDTH:
+        image = image.resize(
+            (REPORT_WIDTH, round(image.height * REPORT_WIDTH / image.width)), Image.Resampling.BOX
+        )
+    buffer = io.BytesIO()
+    image.save(buffer, "JPEG", quality=88)
+    return encoded(buffer.getvalue(), "image/jpeg")
+
+
+def encoded(contents: bytes, kind: str) -> str:
+    """A file inside a page."""
+    return f"data:{kind};base64,{base64.b64encode(contents).decode()}"
+
+
+def _labelled(label: str, picture: Picture) -> Image.Image:
+    canvas = Image.new("RGB", (picture.shape[1], picture.shape[0] + LABEL_HEIGHT), "black")
+    canvas.paste(Image.fromarray(picture), (0, 0))
+    ImageDraw.Draw(canvas).text((6, picture.shape[0] + 2), label, fill="white")
+    return canvas

@@ -9,8 +9,8 @@ from splatax.camera import Camera, look_at
 from splatax.gaussians import Gaussians
 from splatax.math import harmonics
 
-COVERAGE = 14.0  # Gaussians over a point of a surface; trained scenes have about as many
-VIEW = (0.5, 0.2, 1.0)  # direction in which cameras look at scenes
+LAYERS = 14.0  # Gaussians over a point of a surface; trained scenes have about as many
+VIEW = (0.5, 0.2, 1.0)  # direction in which the camera looks at a whole scene
 FOCAL = 0.8  # of the longer side of the image
 
 
@@ -23,47 +23,52 @@ class Scene:
     camera: Camera
 
 
-def procedural(count: int, seed: int = 0) -> Gaussians:
-    """Flat Gaussians on a ground and on balls over it, with the statistics of a trained scene.
+def procedural(count: int, size: tuple[int, int], seed: int = 0) -> Scene:
+    """A wavy sheet of flat Gaussians that fills the image, with the statistics of a trained scene.
 
-    A scene of more has smaller ones, so the layers over a pixel stay as many. Degree 3, 59 numbers
-    a Gaussian.
+    A scene of more has smaller ones, so the layers over a pixel stay as many. Degree 3, so 59
+    numbers a Gaussian.
 
     Args:
         count: of Gaussians.
+        size: of the image: width and height, pixels.
         seed: of all randomness.
     """
     rng = np.random.default_rng(seed)
-    on_ground = count // 3
-    ground = np.column_stack([rng.uniform(-2, 2, (on_ground, 2)), np.full(on_ground, 1.0)])[:, [0, 2, 1]]
-    normals = rng.normal(size=(count - on_ground, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    balls = rng.uniform([-1.6, -0.6, -1.6], [1.6, 0.6, 1.6], (12, 3))
-    radii = rng.uniform(0.2, 0.6, 12)
-    chosen = rng.choice(12, count - on_ground, p=radii**2 / np.sum(radii**2))
-    means = np.concatenate([ground, balls[chosen] + radii[chosen, None] * normals])
-    area = 16 + np.sum(4 * np.pi * radii**2)
-    sigma = np.sqrt(COVERAGE * area / count / (4 * np.pi))
-    scales = sigma * np.exp(rng.normal(size=(count, 3)) * 0.6) * rng.permuted([[1, 1, 0.15]] * count, axis=1)
+    focal = FOCAL * max(size)
+    half = np.array(size) / focal / 2  # of the image, on a plane at distance 1
+    x, y = rng.uniform(-1.05 * half, 1.05 * half, (count, 2)).T
+    z = 1 + 0.1 * np.sin(9 * x + 4 * y) * np.cos(7 * y) + rng.normal(size=count) * 0.02
+    sigma = np.sqrt(LAYERS * 4 * half.prod() / count / (4 * np.pi))
+    flat = rng.permuted([[1, 1, 0.15]] * count, axis=1)
+    scales = sigma * np.exp(rng.normal(size=(count, 3)) * 0.6) * flat
     opacities = np.clip(rng.beta(0.6, 0.9, count), 0.006, 0.995)
     sh = rng.normal(size=(count, harmonics.count(3), 3)) * 0.05
     sh[:, 0] = rng.uniform(-1.2, 1.2, (count, 3))
-    fields = (means, rng.normal(size=(count, 4)), np.log(scales), np.log(opacities / (1 - opacities)), sh)
-    return Gaussians(*(jnp.asarray(field, jnp.float32) for field in fields))
+    fields = (
+        np.column_stack([x, y, z]),
+        rng.normal(size=(count, 4)),
+        np.log(scales),
+        np.log(opacities / (1 - opacities)),
+        sh,
+    )
+    gaussians = Gaussians(*(jnp.asarray(field, jnp.float32) for field in fields))
+    camera = Camera.simple_pinhole(focal, jnp.eye(4), *size)
+    return Scene(f"{count:,} procedural", gaussians, camera)
 
 
-def whole(gaussians: Gaussians, size: tuple[int, int]) -> Camera:
-    """A camera that sees nearly all of a scene.
+def whole(name: str, gaussians: Gaussians, size: tuple[int, int]) -> Scene:
+    """A scene seen from so far that nearly all of it is in the image.
 
     Args:
-        gaussians: the scene.
-        size: width and height, pixels.
+        name: of the scene.
+        gaussians: in it.
+        size: of the image: width and height, pixels.
     """
-    width, height = size
     low, high = np.percentile(np.asarray(gaussians.means, np.float64), [1, 99], axis=0)
     centre, radius = (low + high) / 2, np.linalg.norm(high - low) / 2
     focal = FOCAL * max(size)
     distance = radius / np.sin(np.arctan(min(size) / 2 / focal))
     position = centre - distance * np.array(VIEW) / np.linalg.norm(VIEW)
     pose = look_at(*(jnp.asarray(v, jnp.float32) for v in (position, centre, (0, -1, 0))))
-    return Camera.simple_pinhole(focal, pose, width, height)
+    return Scene(name, gaussians, Camera.simple_pinhole(focal, pose, *size))

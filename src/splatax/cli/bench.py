@@ -2,8 +2,10 @@
 
 import os
 import re
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -47,13 +49,13 @@ class Bench:
             raise InputError(f"--rounds: at least 1, not {self.rounds}.")
         sizes = [parse_size(size) for size in self.sizes]
         backends = list(dict.fromkeys(resolve_backend(name) for name in self.backends))
-        scenes = [(name, gaussians) for name in self.scenes if (gaussians := load(name)) is not None]
+        makers = [maker for name in self.scenes if (maker := scene_maker(name))]
+        self.out.mkdir(parents=True, exist_ok=True)
         console = Console()
         results = []
-        for name, gaussians in scenes:
+        for make in makers:
             for size in sizes:
-                scene = Scene(name, gaussians, whole(gaussians, size))
-                results.append(measure(scene, backends, self.rounds, console))
+                results.append(measure(make(size), backends, self.rounds, console))
                 console.print(table(results[-1]))
                 write_json(self.out / "bench.json", self.contents(results))
         print(f"timings {self.out / 'bench.json'}")
@@ -84,6 +86,7 @@ def measure(scene: Scene, backends: list[str], rounds: int, console: Console) ->
     return {
         "scene": scene.name,
         "gaussians": len(scene.gaussians),
+        "sh_degree": scene.gaussians.sh_degree,
         "visible": visible,
         "width": scene.camera.width,
         "height": scene.camera.height,
@@ -101,7 +104,7 @@ def table(result: dict[str, Any]) -> Table:
     memory = f", peak memory {used / 1e9:.2f} GB" if used else ""
     title = (
         f"{result['scene']}: {result['visible']:,} of {result['gaussians']:,} Gaussians visible, "
-        f"{result['width']} x {result['height']}{memory}"
+        f"SH degree {result['sh_degree']}, {result['width']} x {result['height']}{memory}"
     )
     drawn = Table(title=title, title_justify="left")
     for heading in ("operation", "backend"):
@@ -114,24 +117,24 @@ def table(result: dict[str, Any]) -> Table:
     return drawn
 
 
-def load(name: str) -> sx.Gaussians | None:
-    """The Gaussians of a scene; None, and a line that says so, for test data that is not here.
+def scene_maker(name: str) -> Callable[[tuple[int, int]], Scene] | None:
+    """What makes a scene for an image size; None, after a line that says so, for absent test data.
 
     Raises:
         InputError: if there is no such scene.
     """
-    count = re.fullmatch(r"(\d+)([kM]?)", name)
-    if count and int(count[1]):
-        return procedural(int(count[1]) * {"": 1, "k": 1_000, "M": 1_000_000}[count[2]])
+    count = re.fullmatch(r"([1-9]\d*)([kM]?)", name)
+    if count:
+        return partial(procedural, int(count[1]) * {"": 1, "k": 1_000, "M": 1_000_000}[count[2]])
+    path = Path(name)
     if name == BIKER:
         path = Path(os.environ.get("SPLATAX_DATA", "../shared/data")) / "splats" / "biker.compressed.ply"
         if not path.exists():
             print(f"biker: skipped, no {path}. SPLATAX_DATA names the folder of test data.")
             return None
-        return sx.load(path)
-    if not Path(name).exists():
+    if not path.exists():
         raise InputError(f"--scenes {name}: neither a count such as 50k, nor a splat file, nor {BIKER!r}.")
-    return sx.load(Path(name))
+    return partial(whole, name, sx.load(path))
 
 
 def parse_size(size: str) -> tuple[int, int]:

@@ -11,7 +11,7 @@ from splatax.evaluation import picture
 from splatax.io.files import write_whole
 from splatax.report.history import Evaluation, History
 
-FRAMES = 20  # of the animation, evenly spaced over the logarithm of steps
+FRAMES = 20  # of the animation, close together at first, when most happens
 
 
 def claim(out: Path, overwrite: bool) -> None:
@@ -57,7 +57,7 @@ def train(dataset: sx.Dataset, recipe: sx.Recipe, eval_every: int) -> tuple[Hist
     """
     history = History()
     progress = None
-    frames = {round(recipe.steps ** (i / (FRAMES - 1))) for i in range(FRAMES)}
+    frames = {max(round(recipe.steps * (i / (FRAMES - 1)) ** 2), 1) for i in range(FRAMES)}
     with Display(recipe.steps) as display:
         display.announce("compiling the first step")
         watch = Stopwatch(time.monotonic())

@@ -56,7 +56,9 @@ def read_model(path: Path, low_pass: str | None) -> Model:
 
 def load_scene(scene: Path, downscale: Downscale | None, model: Model | None = None) -> sx.Dataset:
     """Loads a capture, at the size that a model was trained at unless told otherwise."""
-    chosen = downscale or (model.options.get("downscale") if model else None) or "auto"
+    chosen = downscale
+    if chosen is None:
+        chosen = model.options.get("downscale", "auto") if model else "auto"
     if chosen != "auto" and int(chosen) < 1:
         raise InputError(f'--downscale: "auto" or a whole number from 1, not {chosen}.')
     return sx.load_dataset(scene, downscale=None if chosen == "auto" else int(chosen))

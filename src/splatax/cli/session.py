@@ -6,6 +6,7 @@ from pathlib import Path
 
 import splatax as sx
 from splatax.cli.display import Display
+from splatax.cli.interruption import Interruption
 from splatax.errors import InputError
 from splatax.evaluation import picture
 from splatax.io.files import write_whole
@@ -48,7 +49,7 @@ class Stopwatch:
 def train(dataset: sx.Dataset, recipe: sx.Recipe, eval_every: int) -> tuple[History, sx.Gaussians]:
     """Trains with a progress bar, evaluations and pictures of one view.
 
-    Ctrl-C ends training early, with what has been reached until then.
+    Ctrl-C ends training after the step at hand, with what has been reached until then.
 
     Args:
         dataset: the capture.
@@ -56,32 +57,27 @@ def train(dataset: sx.Dataset, recipe: sx.Recipe, eval_every: int) -> tuple[Hist
         eval_every: steps between evaluations of the test views; 0 for none.
     """
     history = History()
-    progress = None
     frames = {max(round(recipe.steps * (i / (FRAMES - 1)) ** 2), 1) for i in range(FRAMES)}
-    with Display(recipe.steps) as display:
+    with Display(recipe.steps) as display, Interruption() as interruption:
         display.announce("compiling the first step")
         watch = Stopwatch(time.monotonic())
-        try:
-            for progress in sx.optimize(dataset, recipe):
-                history.losses.append(progress.loss)
-                history.counts.append(progress.count)
-                display.step(progress.step, progress.loss, progress.count)
-                evaluated = bool(eval_every) and progress.step % eval_every == 0
-                if evaluated or progress.step in frames:
-                    progress.loss.block_until_ready()
-                    seconds = watch.seconds()
-                    if progress.step in frames:
-                        history.frames.append(frame(progress, dataset, recipe))
-                    if evaluated and dataset.test and progress.step < recipe.steps:
-                        evaluation = evaluate(progress, dataset, recipe, seconds)
-                        history.evaluations.append(evaluation)
-                        display.psnr = evaluation.scores.psnr
-                    watch.paused += watch.seconds() - seconds
-        except KeyboardInterrupt:
-            if progress is None:
-                raise
-            history.interrupted = True
-        assert progress is not None
+        for progress in sx.optimize(dataset, recipe):
+            history.losses.append(progress.loss)
+            history.counts.append(progress.count)
+            display.step(progress.step, progress.loss, progress.count)
+            evaluated = bool(eval_every and dataset.test) and progress.step % eval_every == 0
+            if evaluated or progress.step in frames:
+                progress.loss.block_until_ready()
+                seconds = watch.seconds()
+                if progress.step in frames:
+                    history.frames.append(frame(progress, dataset, recipe))
+                if evaluated and progress.step < recipe.steps:
+                    history.evaluations.append(evaluate(progress, dataset, recipe, seconds))
+                    display.psnr = history.evaluations[-1].scores.psnr
+                watch.paused += watch.seconds() - seconds
+            if interruption.requested and progress.step < recipe.steps:
+                history.interrupted = True
+                break
         progress.loss.block_until_ready()
         history.train_seconds = watch.seconds()
     return history, progress.gaussians

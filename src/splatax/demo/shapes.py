@@ -1,7 +1,7 @@
 """Surfaces that a ray meets in closed form, one ray and one point at a time: `vmap` for many."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,11 +9,12 @@ from jaxtyping import Array, Float
 
 Point = Float[Array, "3"]
 Scalar = Float[Array, ""]
-Vector = tuple[float, float, float]
+Vector = tuple[float | int, float | int, float | int]
 
 NEAREST = 1e-3  # of a hit: a shadow ray must not meet the surface it leaves
 
 
+@runtime_checkable
 class Shape(Protocol):
     def distance(self, origin: Point, direction: Point) -> Scalar:
         """How far along a unit direction the surface is met first; infinite where it is not."""

@@ -1,0 +1,102 @@
+"""The commands on a tiny capture: what they write, and that they agree with each other."""
+
+import json
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+from PIL import Image
+
+import splatax as sx
+from splatax import cli
+
+SPLIT = ("photo00.png", "photo08.png")  # every 8th of nine
+
+
+def read_json(path):
+    return json.loads(path.read_text())
+
+
+def test_train_writes_the_scene_its_measures_and_its_report(trained):
+    names = {path.name for path in trained.iterdir()}
+    assert names == {"scene.ply", "metrics.json", "config.json", "report.html", "progress.gif"}
+    metrics = read_json(trained / "metrics.json")
+    assert metrics["steps"] == 6
+    assert metrics["gaussians"] == len(sx.load(trained / "scene.ply")) == 30
+    assert [view["name"] for view in metrics["test"]["views"]] == list(SPLIT)
+    assert [evaluation["step"] for evaluation in metrics["evaluations"]] == [3, 6]
+    assert metrics["evaluations"][-1]["psnr"] == metrics["test"]["psnr"]
+    assert metrics["train_seconds"] > 0
+    assert metrics["peak_rss_bytes"] > 1e8
+    assert "11x11" in metrics["protocol"]["ssim"]
+
+
+def test_the_animation_ends_with_the_last_step(trained):
+    with Image.open(trained / "progress.gif") as animation:
+        assert animation.n_frames == 6
+        assert animation.width == 64
+
+
+def test_config_holds_all_that_repeats_a_run(trained, capture):
+    config = read_json(trained / "config.json")
+    assert config["options"]["scene"] == str(capture)
+    assert config["options"]["seed"] == 0
+    assert config["recipe"]["backend"] == "xla"
+    assert set(config["versions"]) >= {"splatax", "jax", "jaxlib", "numpy", "python"}
+
+
+def test_eval_of_the_run_repeats_its_scores(trained, capture, tmp_path, capsys):
+    cli.main(["eval", str(trained), str(capture), "--out", str(tmp_path / "scores.json")])
+    scores, metrics = read_json(tmp_path / "scores.json"), read_json(trained / "metrics.json")
+    # The file stores what was trained bit for bit, so pictures, and their scores, are the same.
+    assert scores["psnr"] == metrics["test"]["psnr"]
+    assert scores["views"] == metrics["test"]["views"]
+    printed = capsys.readouterr().out
+    assert all(name in printed for name in SPLIT)
+    assert f"{scores['psnr']:.3f}" in printed
+
+
+def test_render_writes_colour_and_depth_of_the_split(trained, capture, tmp_path):
+    out = tmp_path / "pictures"
+    cli.main(["render", str(trained), str(capture), "--out", str(out)])
+    assert sorted(path.name for path in (out / "rgb").iterdir()) == list(SPLIT)
+    gaussians, view = sx.load(trained / "scene.ply"), sx.load_dataset(capture).test[0]
+    drawn = sx.render(gaussians, view.camera)
+    expected = np.round(255 * np.clip(np.asarray(drawn.rgb), 0, 1))
+    assert_array_equal(np.asarray(Image.open(out / "rgb" / "photo00.png")), expected)
+    assert_array_equal(np.load(out / "depth" / "photo00.npy"), drawn.depth)
+    assert Image.open(out / "depth" / "photo00.png").size == (64, 48)
+
+
+def test_render_keeps_pictures_unless_told(trained, capture, tmp_path, capsys):
+    arguments = ["render", str(trained), str(capture), "--out", str(tmp_path)]
+    cli.main(arguments)
+    with pytest.raises(SystemExit) as exit:
+        cli.main(arguments)
+    assert exit.value.code == 2
+    assert "--overwrite" in capsys.readouterr().err
+    cli.main([*arguments, "--overwrite", "--split", "all"])
+    assert len(list((tmp_path / "rgb").iterdir())) == 9
+
+
+@pytest.mark.parametrize(
+    "options",
+    ["--init random --background white", "--backend reference --low-pass antialiasing --background white"],
+)
+def test_eval_finds_the_options_of_the_run(capture, tmp_path, options):
+    out = tmp_path / "run"
+    cli.main(["train", str(capture), "--out", str(out), "--steps", "1", *options.split()])
+    cli.main(["eval", str(out), str(capture)])
+    scores, metrics = read_json(out / "eval.json"), read_json(out / "metrics.json")
+    # Backends agree to float32 rounding, which may tip an 8-bit level here and there.
+    assert scores["psnr"] == pytest.approx(metrics["test"]["psnr"], abs=0.01)
+
+
+def test_bench_times_every_operation(tmp_path, capsys):
+    out = tmp_path / "bench"
+    cli.main(f"bench --scenes 300 --sizes 40x30 --rounds 2 --out {out}".split())
+    (result,) = read_json(out / "bench.json")["results"]
+    times = {row["operation"]: row for row in result["operations"]}
+    assert {"project", "project F+B", "loss F+B", "Adam", "rasterize", "rasterize F+B"} < set(times)
+    assert all(0 < row["minimum"] <= row["median"] for row in times.values())
+    assert "300 procedural" in capsys.readouterr().out

@@ -1,0 +1,110 @@
+"""Bad input: one sentence with the path and the way out, exit code 2, no traceback, nothing lost."""
+
+import shutil
+
+import pytest
+from PIL import Image
+
+from captures import model_of, pinhole, write_capture
+from splatax import cli
+
+
+def refused(capsys, *arguments) -> str:
+    """The sentence that a command ends with."""
+    with pytest.raises(SystemExit) as exit:
+        cli.main([str(argument) for argument in arguments])
+    assert exit.value.code == 2
+    error = capsys.readouterr().err
+    assert error.startswith("splatax: ")
+    assert error.count("\n") == 1
+    assert "Traceback" not in error
+    return error
+
+
+def without_points(capture):
+    model = model_of([f"photo{i:02}.png" for i in range(9)], pinhole())
+    for point in list(model.points3D):
+        model.delete_point3D(point)
+    model.write_binary(capture / "sparse" / "0")
+    return "--init random"
+
+
+def without_model(capture):
+    shutil.rmtree(capture / "sparse")
+    return f"{capture}"
+
+
+def with_half_a_file(capture):
+    path = capture / "sparse" / "0" / "images.bin"
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    return f"{path}: damaged"
+
+
+def without_a_photo(capture):
+    (capture / "images" / "photo03.png").unlink()
+    return f"{capture / 'images' / 'photo03.png'}: the photo is missing"
+
+
+def with_a_cropped_photo(capture):
+    Image.new("RGB", (64, 20)).save(capture / "images" / "photo03.png")
+    return f"{capture / 'images' / 'photo03.png'}: 64 x 20 pixels"
+
+
+def without_itself(capture):
+    shutil.rmtree(capture)
+    return f"{capture}: no such folder"
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [without_itself, without_model, with_half_a_file, without_a_photo, with_a_cropped_photo, without_points],
+)
+def test_a_broken_capture_is_refused_and_the_run_left_alone(damage, tmp_path, capsys):
+    capture = write_capture(tmp_path / "capture")
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "scene.ply").write_bytes(b"earlier")
+    expected = damage(capture)
+    assert expected in refused(capsys, "train", capture, "--out", run, "--overwrite", "--steps", 1)
+    assert [path.name for path in run.iterdir()] == ["scene.ply"]
+    assert (run / "scene.ply").read_bytes() == b"earlier"
+
+
+def test_a_run_is_not_replaced_unless_told(capture, tmp_path, capsys):
+    (tmp_path / "scene.ply").write_bytes(b"earlier")
+    assert "--overwrite" in refused(capsys, "train", capture, "--out", tmp_path, "--steps", 1)
+    assert "--overwrite" in refused(capsys, "demo", "--out", tmp_path)
+    assert (tmp_path / "scene.ply").read_bytes() == b"earlier"
+
+
+def test_a_model_that_is_no_splat_file(capture, tmp_path, capsys):
+    mesh = tmp_path / "mesh.ply"
+    mesh.write_text("ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n0\n")
+    assert str(mesh) in refused(capsys, "eval", mesh, capture)
+    assert str(mesh) in refused(capsys, "render", mesh, capture, "--out", tmp_path / "pictures")
+    assert not (tmp_path / "pictures").exists()
+
+
+def test_a_folder_without_a_model(capture, tmp_path, capsys):
+    assert f"{tmp_path}: no scene.ply" in refused(capsys, "eval", tmp_path, capture)
+    assert "missing.ply" in refused(capsys, "eval", tmp_path / "missing.ply", capture)
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [("--steps 0", "--steps"), ("--max-gaussians 0", "--max-gaussians"), ("--downscale 0", "--downscale")],
+)
+def test_options_out_of_range(capture, tmp_path, capsys, options, named):
+    assert named in refused(capsys, "train", capture, "--out", tmp_path / "run", *options.split())
+    assert not (tmp_path / "run").exists()
+
+
+def test_output_that_cannot_be_written(capture, tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert "a file, not a folder" in refused(capsys, "train", capture, "--out", tmp_path / "file")
+    assert "file" in refused(capsys, "bench", "--scenes", 10, "--out", tmp_path / "file")
+
+
+def test_bench_of_what_is_no_scene(tmp_path, capsys):
+    assert "--scenes nothing" in refused(capsys, "bench", "--scenes", "nothing", "--out", tmp_path)
+    assert "--sizes" in refused(capsys, "bench", "--sizes", "wide", "--out", tmp_path)

@@ -1,0 +1,90 @@
+"""The report: pictures that mean what they say, in a page that needs nothing else."""
+
+import base64
+import io
+import re
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+from PIL import Image, ImageSequence
+
+from splatax.evaluation import Scores, ViewScore
+from splatax.report.curves import smoothed
+from splatax.report.history import Evaluation, History
+from splatax.report.page import Comparison, report
+from splatax.report.pictures import LARGEST_ERROR, animation, data_uri, depth_map, error_map
+
+GRAY = np.full((6, 8, 3), 100, np.uint8)
+
+
+def test_no_error_is_black_and_the_largest_is_brightest():
+    image = GRAY.copy()
+    image[0, 0] += np.uint8(np.ceil(255 * LARGEST_ERROR))
+    image[0, 1] += 10
+    errors = error_map(image, GRAY).astype(int).sum(axis=2)
+    assert errors[1:].max() < 10
+    assert errors[0, 0] > errors[0, 1] > errors[1, 0]
+
+
+def test_near_is_bright_and_nothing_is_black():
+    depth = np.linspace(1, 9, 48, dtype=np.float32).reshape(6, 8)
+    alpha = np.ones_like(depth)
+    alpha[2] = 0
+    shades = depth_map(depth, alpha).astype(int).sum(axis=2)
+    assert shades[0, 0] > shades[3, 0] > shades[5, 7]
+    assert_array_equal(shades[2], 0)
+    assert_array_equal(depth_map(depth, np.zeros_like(depth)), 0)
+
+
+def test_animation_shows_all_frames_and_rests_on_the_last():
+    frames = [(f"step {i}", np.full((24, 32, 3), 60 * i, np.uint8)) for i in range(4)]
+    with Image.open(io.BytesIO(animation(frames))) as gif:
+        shown = [
+            (frame.info["duration"], frame.convert("RGB").getpixel((16, 8))[0])
+            for frame in ImageSequence.Iterator(gif)
+        ]
+    assert [duration for duration, _ in shown] == [250, 250, 250, 2500]
+    assert [level for _, level in shown] == [0, 60, 120, 180]
+
+
+def test_large_pictures_are_shrunk_in_proportion():
+    picture = np.zeros((900, 1800, 3), np.uint8)
+    with Image.open(io.BytesIO(base64.b64decode(data_uri(picture).split(",")[1]))) as image:
+        assert image.size == (720, 360)
+
+
+def test_smoothing_keeps_a_line_a_line():
+    steps = np.arange(1, 201)
+    x, y = smoothed(steps, steps * 2.0)
+    assert len(x) == 151
+    assert np.ptp(y - 2 * x) == pytest.approx(0, abs=1e-9)
+
+
+@pytest.fixture
+def page():
+    history = History(losses=[0.5, 0.4, 0.3], counts=[10, 10, 12], train_seconds=1.5)
+    history.evaluations.append(Evaluation(3, 1.5, Scores((ViewScore("a", 20.0, 0.5),))))
+    comparisons = [
+        Comparison(ViewScore(name, psnr, 0.9), GRAY, GRAY)
+        for name, psnr in (("good.png", 30.0), ("worst.png", 10.0), ("fair.png", 20.0))
+    ]
+    return report("A & <b>", {"Gaussians": "12"}, ["9 photos"], history, comparisons, b"GIF89a")
+
+
+def test_the_page_needs_nothing_else(page):
+    assert set(re.findall(r'src="(.{5})', page)) == {"data:"}
+    assert not re.findall(r'<(?:script|link)|url\(["\']?http|href="http', page)
+
+
+def test_worst_views_come_first(page):
+    assert re.findall(r"<b>(\w+).png</b>", page) == ["worst", "fair", "good"]
+
+
+def test_text_is_escaped(page):
+    assert "<h1>A &amp; &lt;b&gt;</h1>" in page
+
+
+def test_a_run_of_one_step_without_test_views_has_a_page_too():
+    page = report("one", {}, [], History(losses=[0.5], counts=[10]), [], b"")
+    assert "Training progress" not in page

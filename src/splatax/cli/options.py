@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import jax
+
 import splatax as sx
 from splatax import rasterizers
 from splatax.errors import InputError
@@ -65,12 +67,15 @@ def load_scene(scene: Path, downscale: Downscale | None, model: Model | None = N
 
 
 def resolve_backend(name: str) -> str:
-    """The rasterizer to use.
+    """The rasterizer to use. Says so where "auto" has to do with a slower one.
 
     Raises:
         InputError: if it cannot run here.
     """
     try:
-        return rasterizers.resolve(name)
+        chosen = rasterizers.resolve(name)
     except ValueError as error:
         raise InputError(f"--backend: {error}.") from error
+    if name == "auto" and jax.default_backend() == "cpu" and chosen != "cpu":
+        print(f"using the portable rasterizer: {rasterizers.implementation('cpu').why_unavailable()}")
+    return chosen

@@ -1,12 +1,12 @@
 """Rasterizer backends behind one function: `composite`.
 
-A backend is a module with `composite(splats, channels)` and `why_unavailable()`; the contract
-suite in `tests/contracts/` says what it must do.
+A backend is a module, or an object in one, with `composite(splats, channels)` and
+`why_unavailable()`; the contract suite in `tests/contracts/` says what it must do.
 """
 
 import importlib
 from functools import partial
-from types import ModuleType
+from typing import Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -14,9 +14,31 @@ from jaxtyping import Array, Float
 
 from splatax.splats import Splats
 
-BACKENDS = {"reference": "reference", "xla": "xla"}  # name -> module here, imported on first use
-PREFERENCE = {"cpu": ("xla",), "gpu": ("xla",), "tpu": ("xla",)}  # what "auto" tries, by platform
+BACKENDS = {  # name -> module here, or module:object, imported on first use
+    "reference": "reference",
+    "xla": "xla",
+    "cpu": "cpu:best",
+    "cpu-avx512": "cpu:avx512",
+    "cpu-avx2": "cpu:avx2",
+    "cpu-baseline": "cpu:baseline",
+}
+PREFERENCE = {"cpu": ("cpu", "xla"), "gpu": ("xla",), "tpu": ("xla",)}  # what "auto" tries, by platform
 AUTO = "auto"
+
+
+@runtime_checkable
+class Backend(Protocol):
+    """What implements a backend."""
+
+    def why_unavailable(self) -> str | None:
+        """None if it can run here."""
+        ...
+
+    def composite(
+        self, splats: Splats, channels: Float[Array, "n c"]
+    ) -> tuple[Float[Array, "h w c"], Float[Array, "h w"]]:
+        """See `composite` below. There is at least one splat."""
+        ...
 
 
 def resolve(backend: str = AUTO) -> str:
@@ -30,18 +52,20 @@ def resolve(backend: str = AUTO) -> str:
     """
     if backend == AUTO:
         names = PREFERENCE.get(jax.default_backend(), PREFERENCE["gpu"])
-        return next(name for name in names if module_of(name).why_unavailable() is None)
+        return next(name for name in names if implementation(name).why_unavailable() is None)
     if backend not in BACKENDS:
         raise ValueError(f"no rasterizer backend {backend!r}: choose from {', '.join([AUTO, *BACKENDS])}")
-    reason = module_of(backend).why_unavailable()
+    reason = implementation(backend).why_unavailable()
     if reason is not None:
         raise ValueError(f"rasterizer backend {backend!r} is not available: {reason}")
     return backend
 
 
-def module_of(backend: str) -> ModuleType:
-    """The module that implements a backend."""
-    return importlib.import_module(f"{__name__}.{BACKENDS[backend]}")
+def implementation(name: str) -> Backend:
+    """What implements the backend of this name."""
+    module, _, attribute = BACKENDS[name].partition(":")
+    found = importlib.import_module(f"{__name__}.{module}")
+    return getattr(found, attribute) if attribute else found
 
 
 def composite(
@@ -68,4 +92,4 @@ def composite(
 
 @partial(jax.jit, static_argnames="backend")
 def _composite(splats: Splats, channels: Float[Array, "n c"], backend: str):
-    return module_of(backend).composite(splats, channels)
+    return implementation(backend).composite(splats, channels)

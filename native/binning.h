@@ -1,0 +1,70 @@
+// Which splats touch which tile, nearest first.
+//
+//   1. collect   splats that are in the image, with the box of tiles of each
+//   2. order     them by depth (radix sort, stable: ties stay in the order of the input)
+//   3. list      in that order, append each to the tiles that its ellipse touches
+//
+// No list is sorted, because splats arrive in order. Splats are listed in rounds of at most
+// `MAX_PAIRS` (splat, tile) pairs; blending carries its state from one round to the next, so memory
+// is bounded and nothing is ever dropped.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "parallel.h"
+#include "splats.h"
+
+namespace splatax {
+
+constexpr int64_t MAX_PAIRS = 1 << 22;  // of a round; backward, 48 bytes each
+
+// An entry of a tile's list.
+struct Pair {
+  int32_t splat;  // by depth
+  int32_t index;  // of the pair, counted splat by splat
+};
+
+// The tiles of a row that a splat touches.
+struct Span {
+  uint16_t row, first, last;
+};
+
+// Splats [begin, end) by depth.
+struct Round {
+  int begin, end;
+};
+
+class Binning {
+ public:
+  // Steps 1 and 2. Afterwards `splats` holds `visible` of them by depth, in at least one round.
+  void collect(const Input& input, Workers& workers, int64_t max_pairs);
+
+  // Puts channels [first, first + size) of the input into the splats.
+  void load_channels(const Input& input, int first, int size, Workers& workers);
+
+  // Step 3 for one of `rounds`. Afterwards tile t has `pairs[starts[t]] ... pairs[starts[t + 1] - 1]`,
+  // and the pairs of splat i have the indices from `first_pair[i - begin]` to the next one's.
+  void list(const Round& round, Workers& workers);
+
+  int columns = 0, rows = 0, visible = 0;
+  std::vector<Round> rounds;
+  Buffer<Splat> splats;
+  Buffer<Pair> pairs;
+  Buffer<int32_t> starts, first_pair;
+
+  int tiles() const { return columns * rows; }
+  int left(int tile) const { return tile % columns * TILE; }  // pixels
+  int top(int tile) const { return tile / columns * TILE; }
+
+ private:
+  void order(Workers& workers);
+
+  Buffer<Splat> collected_;
+  Buffer<uint32_t> keys_, sorted_keys_;
+  Buffer<int32_t> places_, sorted_places_;
+  std::vector<int32_t> histogram_;
+  std::vector<std::vector<Span>> spans_;  // of each range of splats
+};
+
+}  // namespace splatax

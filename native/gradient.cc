@@ -1,0 +1,122 @@
+#include <cstring>
+
+#include "gradient.h"
+#include "rasterize.h"
+#include "tiles.h"
+
+namespace splatax {
+namespace {
+
+// Adds what the pairs of a splat contribute to its gradients.
+//
+// With t = u dx + v dy, s = w dy and alpha = o exp(-(t^2 + s^2) / 2), and sums over pixels of g:
+//
+//   dL/du = -sum g t dx = -(u gxx + v gxy)        dL/dx = sum g t u = u (u gx + v gy)
+//   dL/dv = -sum g t dy = -(u gxy + v gyy)        dL/dy = sum g (t v + s w) = v (u gx + v gy) + w^2 gy
+//   dL/dw = -sum g s dy = -w gyy                  dL/do = sum g / o
+//
+// where the moments gx ... are about the splat's mean. Those of a pair are about its tile's centre,
+// where they are small numbers; they move to the mean by x = X + d.
+void add_moments(const Input& input, const Splat& splat, const double moments[MOMENTS],
+                 const Gradients& gradients) {
+  const int row = splat.row;
+  const double u = input.sqrt_conics[3 * row], v = input.sqrt_conics[3 * row + 1];
+  const double w = input.sqrt_conics[3 * row + 2];
+  const double gx = moments[1], gy = moments[2], gxx = moments[3], gxy = moments[4], gyy = moments[5];
+  const double along = u * gx + v * gy;
+  const auto add = [](float& to, double value) { to += static_cast<float>(value); };
+  add(gradients.means2d[2 * row], u * along);
+  add(gradients.means2d[2 * row + 1], v * along + w * w * gy);
+  add(gradients.sqrt_conics[3 * row], -(u * gxx + v * gxy));
+  add(gradients.sqrt_conics[3 * row + 1], -(u * gxy + v * gyy));
+  add(gradients.sqrt_conics[3 * row + 2], -w * gyy);
+  add(gradients.opacities[row], moments[0] / input.opacities[row]);
+}
+
+// Adds the shares of a round's pairs to the gradients, pair after pair: the order, and so the
+// result, does not depend on which thread made them.
+void gather(const Input& input, const Binning& binning, const Round& round, const float (*shares)[SHARES],
+            const uint8_t* flags, int first, int size, const Gradients& gradients, Workers& workers) {
+  workers.ranges(round.end - round.begin, [&](int, int begin, int end) {
+    for (int i = begin; i < end; ++i) {
+      const Splat& splat = binning.splats[round.begin + i];
+      double sums[SHARES] = {};
+      bool seen = false;
+      for (int32_t index = binning.first_pair[i]; index < binning.first_pair[i + 1]; ++index) {
+        if (!flags[index]) continue;
+        seen = true;
+        for (int k = 0; k < SHARES; ++k) sums[k] += shares[index][k];
+      }
+      if (!seen) continue;
+      add_moments(input, splat, sums, gradients);
+      float* channels = gradients.channels + static_cast<size_t>(splat.row) * input.channel_count + first;
+      for (int c = 0; c < size; ++c) channels[c] += static_cast<float>(sums[MOMENTS + c]);
+    }
+  });
+}
+
+// The state of a tile before its first splat.
+template <int C>
+void start(const Input& input, const Cotangents& cotangents, int first, int size, int left, int top,
+           TileGradient<C>& state) {
+  std::memset(static_cast<void*>(&state), 0, sizeof state);
+  for (auto& block : state.transmittance) std::fill(block, block + LANES, -1.0f);
+  each_pixel(input, left, top, [&](int b, int lane, size_t pixel) {
+    state.transmittance[b][lane] = 1;
+    // Alpha counts once, with the first channels.
+    state.d_alpha[b][lane] = first == 0 ? cotangents.d_alpha[pixel] : 0;
+    float behind = state.d_alpha[b][lane] * cotangents.alpha[pixel];
+    for (int c = 0; c < size; ++c) {
+      const size_t at = pixel * input.channel_count + first + c;
+      state.d_sums[c][b][lane] = cotangents.d_sums[at];
+      behind += cotangents.d_sums[at] * cotangents.sums[at];
+    }
+    state.behind[b][lane] = behind;
+  });
+}
+
+// Adds the gradients that come from channels [first, first + size).
+template <int C>
+void add_group(const Input& input, const Cotangents& cotangents, const Gradients& gradients, int first,
+               int size, Workers& workers, Scratch& scratch) {
+  Binning& binning = scratch.binning;
+  binning.load_channels(input, first, size, workers);
+  TileStates<TileGradient<C>> states(binning, scratch);
+  for (const Round& round : binning.rounds) {
+    binning.list(round, workers);
+    const int32_t pairs = binning.starts[binning.tiles()];
+    auto* shares = reinterpret_cast<float(*)[SHARES]>(
+        scratch.shares.at_least(static_cast<size_t>(pairs) * SHARES));
+    uint8_t* flags = scratch.flags.at_least(pairs);
+    std::memset(flags, 0, pairs);
+    workers.each(binning.tiles(), [&](int tile) {
+      const int left = binning.left(tile), top = binning.top(tile), begin = binning.starts[tile];
+      const Pair* list = binning.pairs.get() + begin;
+      const int count = binning.starts[tile + 1] - begin;
+      TileGradient<C> local, &state = states.of(tile, local);
+      if (round.begin == 0) start(input, cotangents, first, size, left, top, state);
+      state.accumulate(binning.splats.get(), list, count, left, top, shares, flags);
+    });
+    gather(input, binning, round, shares, flags, first, size, gradients, workers);
+  }
+}
+
+}  // namespace
+
+void rasterize_gradient(const Input& input, const Cotangents& cotangents, const Gradients& gradients,
+                        Workers& workers, Scratch& scratch, int64_t max_pairs) {
+  workers.ranges(input.count, [&](int, int begin, int end) {
+    const auto clear = [&](float* array, size_t columns) {
+      std::fill(array + begin * columns, array + end * columns, 0.0f);
+    };
+    clear(gradients.means2d, 2), clear(gradients.sqrt_conics, 3), clear(gradients.opacities, 1);
+    clear(gradients.channels, input.channel_count);
+  });
+  scratch.binning.collect(input, workers, max_pairs);
+  each_group(input.channel_count, [&](int first, int size) {
+    const auto add = size == 3 ? add_group<3> : add_group<GROUP>;
+    add(input, cotangents, gradients, first, size, workers, scratch);
+  });
+}
+
+}  // namespace splatax

@@ -1,0 +1,108 @@
+// The gradient of a tile, front to back as the blend went, from the sums that it ended with.
+//
+// With s_i = <c_i, dL/dC> + dL/dA, for sums C and alpha A, and weights w_i = T_i alpha_i, the sum of
+// all w_i s_i is known beforehand: <C, dL/dC> + A dL/dA. What lies behind splat i is that, less what
+// was blended up to it, so
+//
+//   g_i = alpha_i dL/d alpha_i = w_i s_i - alpha_i / (1 - alpha_i) sum_{j>i} w_j s_j .
+//
+// Everything that a splat's shape needs are the moments of g over pixels: see `add_moments` in
+// gradient.cc.
+#pragma once
+
+#include "chunk.h"
+#include "reduction.h"
+
+namespace splatax {
+
+constexpr int MOMENTS = 6;           // g, g x, g y, g x^2, g x y, g y^2, about the tile's centre
+constexpr int SHARES = 12;           // floats for a pair: the moments, and dL/d channels
+static_assert(MOMENTS + GROUP <= SHARES);
+
+// Moves the moments of a pair from the tile's centre to the splat's mean.
+inline void move_to_mean(const Splat& splat, float centre_x, float centre_y, float* share) {
+  const float dx = centre_x - splat.x, dy = centre_y - splat.y;
+  const float g = share[0], gx = share[1] + dx * g, gy = share[2] + dy * g;
+  share[3] += dx * (share[1] + gx);
+  share[4] += dx * share[2] + dy * gx;
+  share[5] += dy * (share[2] + gy);
+  share[1] = gx, share[2] = gy;
+}
+
+template <int C>
+struct TileGradient {
+  alignas(64) float transmittance[BLOCKS][LANES];  // as in `TileImage`
+  alignas(64) float behind[BLOCKS][LANES];         // sum of w_j s_j over splats yet to come
+  alignas(64) float d_sums[C][BLOCKS][LANES];
+  alignas(64) float d_alpha[BLOCKS][LANES];
+
+  // For each pair: writes its shares, and sets its flag, if any pixel of the tile sees the splat.
+  void accumulate(const Splat* splats, const Pair* pairs, int count, float left, float top,
+                  float (*shares)[SHARES], uint8_t* flags) {
+    Chunk chunk;
+    uint64_t touching[BLOCKS];
+    uint32_t live = 0;
+    for (int b = 0; b < BLOCKS; ++b) live |= any(all(0) <= load(transmittance[b])) ? 1u << b : 0;
+    for (int begin = 0; begin < count && live; begin += CHUNK) {
+      chunk.gather<C>(splats, pairs + begin, std::min(CHUNK, count - begin));
+      chunk.find_blocks(left, top, touching);
+      uint16_t blocks[CHUNK] = {};
+      for (int b = 0; b < BLOCKS; ++b) {
+        if (!(live >> b & 1)) continue;
+        for (uint64_t left_over = touching[b]; left_over; left_over &= left_over - 1) {
+          blocks[__builtin_ctzll(left_over)] |= static_cast<uint16_t>(1u << b);
+        }
+      }
+      for (int i = 0; i < chunk.size && live; ++i) {
+        if (!(blocks[i] & live)) continue;
+        const Pair& pair = pairs[begin + i];
+        live = accumulate_splat(chunk, i, blocks[i] & live, live, left, top, shares[pair.index]);
+        move_to_mean(splats[pair.splat], left + TILE / 2, top + TILE / 2, shares[pair.index]);
+        flags[pair.index] = 1;
+      }
+    }
+  }
+
+ private:
+  // One splat over some blocks; returns which blocks still have pixels that are not done.
+  uint32_t accumulate_splat(const Chunk& chunk, int i, uint32_t blocks, uint32_t live, float left, float top,
+                            float* shares) {
+    const PixelCentres centres;
+    Lanes total[MOMENTS + C];
+    for (Lanes& sum : total) sum = all(0);
+    for (; blocks; blocks &= blocks - 1) {
+      const int b = __builtin_ctz(blocks);
+      const float column = b % BLOCKS_A_SIDE * BLOCK, row = b / BLOCKS_A_SIDE * BLOCK;
+      const Lanes before = load(transmittance[b]);
+      const Mask alive = all(0) <= before;
+      const Lanes T = max(before, all(0) - before);
+      const Blend step(chunk, i, centres.x + all(left + column), centres.y + all(top + row), T, alive);
+
+      Lanes value = load(d_alpha[b]);
+      for (int c = 0; c < C; ++c) {
+        const Lanes d = load(d_sums[c][b]);
+        value = multiply_add(all(chunk.channels[c][i]), d, value);
+        total[MOMENTS + c] = multiply_add(step.weight, d, total[MOMENTS + c]);
+      }
+      const Lanes own = step.weight * value, still_behind = load(behind[b]) - own;
+      // Where alpha is clamped it does not depend on the splat.
+      const Mask flexible = step.drawn & (step.raw <= all(MAX_ALPHA));
+      const Lanes odds = step.alpha * reciprocal(all(1) - step.alpha);
+      const Lanes g = or_zero(flexible, multiply_subtract_from(odds, still_behind, own));
+      const Lanes x = centres.x + all(column - TILE / 2), y = centres.y + all(row - TILE / 2);
+      const Lanes gx = g * x, gy = g * y;
+      total[0] = total[0] + g, total[1] = total[1] + gx, total[2] = total[2] + gy;
+      total[3] = multiply_add(gx, x, total[3]);
+      total[4] = multiply_add(gx, y, total[4]);
+      total[5] = multiply_add(gy, y, total[5]);
+
+      store(transmittance[b], where(step.alive, step.after, all(0) - step.after));
+      store(behind[b], where(step.drawn, still_behind, load(behind[b])));
+      if (!any(step.alive)) live &= ~(1u << b);
+    }
+    add_up<MOMENTS + C>(total, shares);
+    return live;
+  }
+};
+
+}  // namespace splatax

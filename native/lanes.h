@@ -1,0 +1,155 @@
+// Sixteen floats at once: the pixels of a 4 x 4 block, or sixteen splats.
+//
+// Vectors have the width of the machine: one register of AVX-512, two of AVX2, four of SSE2 or
+// NEON. (Asked for a vector wider than the machine's, GCC splits it into code 4 to 5 times slower.)
+// This file is compiled once for each instruction set, into a library of its own.
+#pragma once
+
+#include <cstdint>
+#include <cstring>
+
+#if defined(__x86_64__)
+#include <immintrin.h>
+#endif
+
+namespace splatax {
+
+constexpr int LANES = 16;
+
+#if defined(__AVX512F__)
+
+struct Lanes {
+  __m512 v;
+};
+struct Mask {
+  __mmask16 m;
+};
+
+inline Lanes all(float x) { return {_mm512_set1_ps(x)}; }
+inline Lanes load(const float* from) { return {_mm512_loadu_ps(from)}; }
+inline void store(float* to, Lanes a) { _mm512_storeu_ps(to, a.v); }
+inline Lanes operator+(Lanes a, Lanes b) { return {_mm512_add_ps(a.v, b.v)}; }
+inline Lanes operator-(Lanes a, Lanes b) { return {_mm512_sub_ps(a.v, b.v)}; }
+inline Lanes operator*(Lanes a, Lanes b) { return {_mm512_mul_ps(a.v, b.v)}; }
+inline Lanes multiply_add(Lanes a, Lanes b, Lanes c) { return {_mm512_fmadd_ps(a.v, b.v, c.v)}; }
+inline Lanes multiply_subtract_from(Lanes a, Lanes b, Lanes c) { return {_mm512_fnmadd_ps(a.v, b.v, c.v)}; }
+inline Lanes min(Lanes a, Lanes b) { return {_mm512_min_ps(a.v, b.v)}; }
+inline Lanes max(Lanes a, Lanes b) { return {_mm512_max_ps(a.v, b.v)}; }
+inline Mask operator<=(Lanes a, Lanes b) { return {_mm512_cmp_ps_mask(a.v, b.v, _CMP_LE_OQ)}; }
+inline Mask operator&(Mask a, Mask b) { return {static_cast<__mmask16>(a.m & b.m)}; }
+inline Mask and_not(Mask a, Mask b) { return {static_cast<__mmask16>(a.m & ~b.m)}; }
+inline uint32_t bits(Mask a) { return a.m; }
+inline Lanes where(Mask mask, Lanes a, Lanes b) { return {_mm512_mask_mov_ps(b.v, mask.m, a.v)}; }
+inline Lanes or_zero(Mask mask, Lanes a) { return {_mm512_maskz_mov_ps(mask.m, a.v)}; }
+
+// 1 / x to float32 rounding, give or take one bit: an estimate and a step of Newton.
+inline Lanes reciprocal(Lanes x) {
+  const Lanes estimate{_mm512_rcp14_ps(x.v)};
+  return estimate * multiply_subtract_from(x, estimate, all(2));
+}
+
+inline Lanes round(Lanes x) { return {_mm512_roundscale_ps(x.v, _MM_FROUND_TO_NEAREST_INT)}; }
+inline Lanes times_power_of_two(Lanes x, Lanes integer) { return {_mm512_scalef_ps(x.v, integer.v)}; }
+
+#else
+
+#if defined(__AVX2__)
+constexpr int WIDTH = 8;
+#else
+constexpr int WIDTH = 4;
+#endif
+constexpr int PARTS = LANES / WIDTH;
+typedef float Floats __attribute__((vector_size(4 * WIDTH)));
+typedef int32_t Ints __attribute__((vector_size(4 * WIDTH)));
+
+struct Lanes {
+  Floats v[PARTS];
+};
+struct Mask {
+  Ints m[PARTS];
+};
+
+// Calls operation(part) for each native vector; unrolled, because PARTS is a constant.
+template <class Result, class Operation>
+inline __attribute__((always_inline)) Result each_part(Operation operation) {
+  Result result;
+#pragma GCC unroll 4
+  for (int part = 0; part < PARTS; ++part) operation(result, part);
+  return result;
+}
+#define SPLATAX_LANES(expression) \
+  each_part<Lanes>([&](Lanes& result, int k) __attribute__((always_inline)) { result.v[k] = expression; })
+#define SPLATAX_MASK(expression) \
+  each_part<Mask>([&](Mask& result, int k) __attribute__((always_inline)) { result.m[k] = expression; })
+
+inline Lanes all(float x) { return SPLATAX_LANES(x - Floats{}); }
+inline Lanes load(const float* from) {
+  Lanes result;
+  std::memcpy(&result, from, sizeof result);
+  return result;
+}
+inline void store(float* to, Lanes a) { std::memcpy(to, &a, sizeof a); }
+inline Lanes operator+(Lanes a, Lanes b) { return SPLATAX_LANES(a.v[k] + b.v[k]); }
+inline Lanes operator-(Lanes a, Lanes b) { return SPLATAX_LANES(a.v[k] - b.v[k]); }
+inline Lanes operator*(Lanes a, Lanes b) { return SPLATAX_LANES(a.v[k] * b.v[k]); }
+// Compilers contract these where the machine has fused multiply-add.
+inline Lanes multiply_add(Lanes a, Lanes b, Lanes c) { return SPLATAX_LANES(a.v[k] * b.v[k] + c.v[k]); }
+inline Lanes multiply_subtract_from(Lanes a, Lanes b, Lanes c) {
+  return SPLATAX_LANES(c.v[k] - a.v[k] * b.v[k]);
+}
+inline Lanes min(Lanes a, Lanes b) { return SPLATAX_LANES(a.v[k] < b.v[k] ? a.v[k] : b.v[k]); }
+inline Lanes max(Lanes a, Lanes b) { return SPLATAX_LANES(a.v[k] > b.v[k] ? a.v[k] : b.v[k]); }
+inline Mask operator<=(Lanes a, Lanes b) { return SPLATAX_MASK(a.v[k] <= b.v[k]); }
+inline Mask operator&(Mask a, Mask b) { return SPLATAX_MASK(a.m[k] & b.m[k]); }
+inline Mask and_not(Mask a, Mask b) { return SPLATAX_MASK(a.m[k] & ~b.m[k]); }
+inline Lanes where(Mask mask, Lanes a, Lanes b) { return SPLATAX_LANES(mask.m[k] ? a.v[k] : b.v[k]); }
+inline Lanes or_zero(Mask mask, Lanes a) {
+  return SPLATAX_LANES(reinterpret_cast<Floats>(reinterpret_cast<Ints>(a.v[k]) & mask.m[k]));
+}
+
+inline uint32_t bits(Mask a) {
+  uint32_t result = 0;
+  for (int k = 0; k < PARTS; ++k) {
+#if defined(__AVX2__)
+    result |= static_cast<uint32_t>(_mm256_movemask_ps(reinterpret_cast<__m256>(a.m[k]))) << (WIDTH * k);
+#elif defined(__x86_64__)
+    result |= static_cast<uint32_t>(_mm_movemask_ps(reinterpret_cast<__m128>(a.m[k]))) << (WIDTH * k);
+#else
+    const Ints weights = {1, 2, 4, 8};
+    const Ints set = a.m[k] & weights;
+    result |= static_cast<uint32_t>(set[0] | set[1] | set[2] | set[3]) << (WIDTH * k);
+#endif
+  }
+  return result;
+}
+
+inline Lanes reciprocal(Lanes x) { return SPLATAX_LANES(1.0f / x.v[k]); }
+
+// Adding 1.5 * 2^23 leaves no bits for a fraction. For |x| < 2^22.
+inline Lanes round(Lanes x) { return SPLATAX_LANES((x.v[k] + 12582912.0f) - 12582912.0f); }
+
+// Adds to the exponent; under 2^-126 the result is not exact, but still small.
+inline Lanes times_power_of_two(Lanes x, Lanes integer) {
+  integer = max(integer, all(-126));
+  return SPLATAX_LANES(reinterpret_cast<Floats>(reinterpret_cast<Ints>(x.v[k]) +
+                                                (__builtin_convertvector(integer.v[k], Ints) << 23)));
+}
+
+#endif
+
+inline bool any(Mask mask) { return bits(mask) != 0; }
+
+// 2^x for x in [-100, 100], to 2e-7: a polynomial for 2^f with f in [-1/2, 1/2], with the least
+// largest relative error (Remez), times 2^integer.
+inline Lanes exp2(Lanes x) {
+  const Lanes integer = round(x), f = x - integer;
+  Lanes p = all(1.3240888e-03f);
+  p = multiply_add(p, f, all(9.674739e-03f));
+  p = multiply_add(p, f, all(0.055508375f));
+  p = multiply_add(p, f, all(0.24022155f));
+  p = multiply_add(p, f, all(0.6931469f));
+  p = multiply_add(p, f, all(1.0f));
+  return times_power_of_two(p, integer);
+}
+
+}  // namespace splatax

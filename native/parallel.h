@@ -1,0 +1,68 @@
+// Loops over XLA's own threads.
+#pragma once
+
+#include <algorithm>
+#include <atomic>
+#include <functional>
+#include <memory>
+#include <thread>
+
+#include "xla/ffi/api/ffi.h"
+
+namespace splatax {
+
+class Workers {
+ public:
+  // As many threads as the pool has, or `limit` of them if that is not zero.
+  Workers(xla::ffi::ThreadPool pool, int64_t limit) : pool_(pool) {
+    const int64_t threads = std::max<int64_t>(pool.num_threads(), 1);
+    count_ = static_cast<int>(limit > 0 ? std::min(limit, threads) : threads);
+  }
+
+  int count() const { return count_; }
+
+  // Calls task(i) for i in [0, n), each once, in any order, and waits for all. The calling thread
+  // works too, and does all the work if the pool is busy: so this cannot deadlock.
+  void each(int n, const std::function<void(int)>& task) {
+    if (n <= 1 || count_ == 1) {
+      for (int i = 0; i < n; ++i) task(i);
+      return;
+    }
+    auto job = std::make_shared<Job>();
+    job->size = n;
+    job->task = &task;
+    for (int helper = 1; helper < std::min(n, count_); ++helper) {
+      pool_.Schedule([job] { job->work(); });
+    }
+    job->work();
+    while (job->done.load(std::memory_order_acquire) < n) std::this_thread::yield();
+  }
+
+  // Splits [0, n) into even ranges, and calls task(range, begin, end) for each.
+  template <class Task>
+  void ranges(int n, const Task& task) {
+    each(count_, [&](int range) {
+      const auto bound = [&](int r) { return static_cast<int>(int64_t{n} * r / count_); };
+      task(range, bound(range), bound(range + 1));
+    });
+  }
+
+ private:
+  struct Job {
+    std::atomic<int> next{0}, done{0};
+    int size = 0;
+    const std::function<void(int)>* task = nullptr;  // gone once done == size
+
+    void work() {
+      for (int i; (i = next.fetch_add(1)) < size;) {
+        (*task)(i);
+        done.fetch_add(1, std::memory_order_release);
+      }
+    }
+  };
+
+  xla::ffi::ThreadPool pool_;
+  int count_;
+};
+
+}  // namespace splatax

@@ -1,0 +1,43 @@
+// The two operations of the library: the image, and its gradient.
+#pragma once
+
+#include "binning.h"
+#include "parallel.h"
+#include "splats.h"
+
+namespace splatax {
+
+struct Image {
+  float* sums;   // [height width channel_count]
+  float* alpha;  // [height width]
+};
+
+struct Cotangents {
+  const float* sums;     // the image itself, which the gradient starts from
+  const float* alpha;
+  const float* d_sums;   // dL / d of it
+  const float* d_alpha;
+};
+
+// dL / d of the inputs of the same names.
+struct Gradients {
+  float* means2d;
+  float* sqrt_conics;
+  float* opacities;
+  float* channels;
+};
+
+// Memory of a call, kept for the next one.
+struct Scratch {
+  Binning binning;
+  Buffer<unsigned char> states;
+  Buffer<float> shares;
+  Buffer<uint8_t> flags;
+};
+
+void rasterize(const Input& input, const Image& image, Workers& workers, Scratch& scratch, int64_t max_pairs);
+
+void rasterize_gradient(const Input& input, const Cotangents& cotangents, const Gradients& gradients,
+                        Workers& workers, Scratch& scratch, int64_t max_pairs);
+
+}  // namespace splatax

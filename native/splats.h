@@ -1,0 +1,73 @@
+// The 2D Gaussians of one view, as JAX hands them over and as the kernels want them.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+
+namespace splatax {
+
+constexpr int TILE = 16;            // pixels a side
+constexpr int BLOCK = 4;            // pixels a side: as many pixels as lanes
+constexpr int BLOCKS_A_SIDE = TILE / BLOCK;
+constexpr int BLOCKS = BLOCKS_A_SIDE * BLOCKS_A_SIDE;
+constexpr int GROUP = 4;            // channels that are blended together
+
+// As in splatax/splats.py.
+constexpr float MIN_ALPHA = 1.0f / 255;
+constexpr float MAX_ALPHA = 0.99f;
+constexpr float MIN_TRANSMITTANCE = 1e-4f;
+constexpr float LOG2_MIN_ALPHA = -7.994353437f;
+constexpr float ROOT_HALF_LOG2_E = 0.849321800f;  // sqrt(log2(e) / 2)
+
+// Inputs, row by row; see `Splats` in splatax/splats.py.
+struct Input {
+  const float* means2d;      // [count 2]
+  const float* sqrt_conics;  // [count 3]
+  const float* depths;       // [count]
+  const float* extents;      // [count 2]
+  const float* opacities;    // [count]
+  const float* channels;     // [count channel_count]
+  int count, channel_count, width, height;
+};
+
+// One visible splat. With t = u dx + v dy and s = w dy, alpha is 2^(level - t^2 - s^2): u, v and w
+// are those of `Splats`, times sqrt(log2(e) / 2).
+struct Splat {
+  float x, y, u, v, w;
+  float level;             // log2(opacity)
+  float reach;             // t^2 + s^2 beyond which alpha is under 1/255, and a margin for rounding
+  float x_per_y, y_per_x;  // where its ellipse is nearest to a horizontal, a vertical line
+  float channels[GROUP];
+  int32_t row;             // of the input
+  uint16_t first_column, last_column, first_row, last_row;  // tiles that its box covers
+};
+static_assert(sizeof(Splat) == 64, "one cache line");
+
+// Memory that only grows and is not initialized, kept between calls: fresh pages are slow.
+template <class T>
+class Buffer {
+ public:
+  T* at_least(size_t size) {
+    if (size > size_) {
+      size_ = size + size / 4;
+      memory_.reset();
+      memory_.reset(new T[size_]);
+    }
+    return memory_.get();
+  }
+  // The same for records of another type, which start at a cache line.
+  template <class Record>
+  Record* aligned(size_t count) {
+    const auto address = reinterpret_cast<uintptr_t>(at_least((count * sizeof(Record) + 63) / sizeof(T) + 64));
+    return reinterpret_cast<Record*>((address + 63) / 64 * 64);
+  }
+  T* get() const { return memory_.get(); }
+  T& operator[](size_t i) const { return memory_[i]; }
+
+ private:
+  size_t size_ = 0;
+  std::unique_ptr<T[]> memory_;
+};
+
+}  // namespace splatax

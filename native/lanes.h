@@ -31,6 +31,8 @@ inline void store(float* to, Lanes a) { _mm512_storeu_ps(to, a.v); }
 inline Lanes operator+(Lanes a, Lanes b) { return {_mm512_add_ps(a.v, b.v)}; }
 inline Lanes operator-(Lanes a, Lanes b) { return {_mm512_sub_ps(a.v, b.v)}; }
 inline Lanes operator*(Lanes a, Lanes b) { return {_mm512_mul_ps(a.v, b.v)}; }
+inline Lanes operator/(Lanes a, Lanes b) { return {_mm512_div_ps(a.v, b.v)}; }
+inline Lanes sqrt(Lanes a) { return {_mm512_sqrt_ps(a.v)}; }
 inline Lanes multiply_add(Lanes a, Lanes b, Lanes c) { return {_mm512_fmadd_ps(a.v, b.v, c.v)}; }
 inline Lanes multiply_subtract_from(Lanes a, Lanes b, Lanes c) { return {_mm512_fnmadd_ps(a.v, b.v, c.v)}; }
 inline Lanes min(Lanes a, Lanes b) { return {_mm512_min_ps(a.v, b.v)}; }
@@ -92,6 +94,13 @@ inline void store(float* to, Lanes a) { std::memcpy(to, &a, sizeof a); }
 inline Lanes operator+(Lanes a, Lanes b) { return SPLATAX_LANES(a.v[k] + b.v[k]); }
 inline Lanes operator-(Lanes a, Lanes b) { return SPLATAX_LANES(a.v[k] - b.v[k]); }
 inline Lanes operator*(Lanes a, Lanes b) { return SPLATAX_LANES(a.v[k] * b.v[k]); }
+inline Lanes operator/(Lanes a, Lanes b) { return SPLATAX_LANES(a.v[k] / b.v[k]); }
+inline Lanes sqrt(Lanes a) {
+  float values[LANES];
+  std::memcpy(values, &a, sizeof a);
+  for (float& value : values) value = __builtin_sqrtf(value);  // one instruction a vector
+  return load(values);
+}
 // Compilers contract these where the machine has fused multiply-add.
 inline Lanes multiply_add(Lanes a, Lanes b, Lanes c) { return SPLATAX_LANES(a.v[k] * b.v[k] + c.v[k]); }
 inline Lanes multiply_subtract_from(Lanes a, Lanes b, Lanes c) {
@@ -136,6 +145,15 @@ inline Lanes times_power_of_two(Lanes x, Lanes integer) {
 }
 
 #endif
+
+inline Lanes operator-(Lanes a) { return all(0) - a; }
+inline Lanes operator+(Lanes a, float b) { return a + all(b); }
+inline Lanes operator-(Lanes a, float b) { return a - all(b); }
+inline Lanes operator-(float a, Lanes b) { return all(a) - b; }
+inline Lanes operator*(float a, Lanes b) { return all(a) * b; }
+inline Lanes& operator+=(Lanes& a, Lanes b) { return a = a + b; }
+inline Mask operator<(Lanes a, Lanes b) { return and_not(a <= b, b <= a); }
+inline Lanes absolute(Lanes a) { return max(a, -a); }
 
 inline bool any(Mask mask) { return bits(mask) != 0; }
 

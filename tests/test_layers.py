@@ -11,6 +11,7 @@ ROOT = Path(splatax.__file__).parent
 LAYERS = (  # lowest first; a package stands for all its modules
     {"math", "errors"},
     {"gaussians", "splats", "camera", "dataset"},
+    {"native"},
     {"projection", "rasterizers", "losses", "metrics", "io"},
     {"rendering"},
     {"training", "evaluation"},

@@ -8,12 +8,13 @@ W is the camera's rotation and J the Jacobian of the perspective at the mean. Th
 
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from splatax import rasterizers
 from splatax.camera import Camera
 from splatax.gaussians import Gaussians
 from splatax.math import ellipsoids, harmonics
@@ -30,6 +31,7 @@ class Dilation:
     """Adds variance to every splat and leaves its opacity (Kerbl et al. 2023, authors' code)."""
 
     variance: float = 0.3  # pixels^2
+    floor: ClassVar[float] = 1.0  # of the factor on opacity: there is none
 
     def fade(self, sharp: Float[Array, ""], blurred: Float[Array, ""]) -> Float[Array, ""]:
         """Factor on opacity, from the determinants before and after the variance is added."""
@@ -66,14 +68,33 @@ class Projected(NamedTuple):
     opacity: Float[Array, ""]
 
 
-@partial(jax.jit, static_argnames="low_pass")
-@jax.default_matmul_precision("highest")  # GPUs and TPUs would round to 10 or 8 bits
-def project(gaussians: Gaussians, camera: Camera, *, low_pass: LowPass = Dilation()) -> Splats:
+def project(
+    gaussians: Gaussians,
+    camera: Camera,
+    *,
+    low_pass: LowPass = Dilation(),
+    backend: str = rasterizers.AUTO,
+) -> Splats:
     """The 2D Gaussians that a camera sees, one row for each Gaussian, in the same order.
 
     Culled rows have zero extent: nearer than 0.01, more transparent than 1/255, beside the image,
     or not finite. They get zero gradients. Differentiable in the Gaussians and the camera.
+
+    Args:
+        gaussians: the scene.
+        camera: the view.
+        low_pass: what keeps splats from falling between pixels.
+        backend: see `rasterizers.resolve`. One that has a projection of its own uses that.
     """
+    return _project(gaussians, camera, low_pass, rasterizers.resolve(backend, gaussians.means.dtype))
+
+
+@partial(jax.jit, static_argnames=("low_pass", "backend"))
+@jax.default_matmul_precision("highest")  # GPUs and TPUs would round to 10 or 8 bits
+def _project(gaussians: Gaussians, camera: Camera, low_pass: LowPass, backend: str) -> Splats:
+    implementation = rasterizers.implementation(backend)
+    if hasattr(implementation, "project"):
+        return implementation.project(gaussians, camera, low_pass.variance, low_pass.floor)
     position = camera.position
 
     def one(mean, quat, log_scale, logit, sh):

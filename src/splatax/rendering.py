@@ -58,7 +58,7 @@ def render(
     Raises:
         ValueError: if the backend is unknown or not available here.
     """
-    splats = project(gaussians, camera, low_pass=low_pass)
+    splats = project(gaussians, camera, low_pass=low_pass, backend=backend)
     return rasterize(splats, background=background, features=features, backend=backend)
 
 
@@ -73,7 +73,7 @@ def rasterize(
     if features is None:
         features = jnp.zeros((splats.means2d.shape[0], 0), splats.means2d.dtype)
     background = jnp.asarray(background, splats.means2d.dtype)
-    return _rasterize(splats, background, features, rasterizers.resolve(backend))
+    return _rasterize(splats, background, features, rasterizers.resolve(backend, splats.means2d.dtype))
 
 
 @partial(jax.jit, static_argnames="backend")

@@ -181,15 +181,11 @@ def test_image_and_gradients_equal_the_reference(fast, seed):
 
 def test_double_precision_equals_the_reference_to_its_rounding(fast, x64):
     scene = random_splats(3, dtype=np.float64)
-    if not supports_double(fast):
-        pytest.skip("single precision only")
+    if reason := rasterizers.why_unavailable(fast, np.float64):
+        pytest.skip(reason)
     for actual, expected in zip(draw(scene, fast), draw(scene, "reference"), strict=True):
         assert_allclose(actual, expected, atol=1e-13)
     assert_same_gradients(scene, scene.colors, fast, 1e-11)
-
-
-def supports_double(backend) -> bool:
-    return getattr(rasterizers.implementation(backend), "DOUBLE_PRECISION", True)
 
 
 @pytest.mark.parametrize("channels", [1, 4, 13])

@@ -10,6 +10,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scenes import random_splats
+from splatax import native
 from splatax.rasterizers import cpu, reference
 
 pytestmark = pytest.mark.skipif(
@@ -18,9 +19,9 @@ pytestmark = pytest.mark.skipif(
 SCENE = random_splats(7, n=600, size=(70, 53), sigma=(1, 12))
 
 
-def image_and_gradient(scene, native=cpu.best, channels=None):
+def image_and_gradient(scene, backend=cpu.best, channels=None):
     def objective(scene, channels):
-        image, alpha = native.composite(scene, channels)
+        image, alpha = backend.composite(scene, channels)
         weights = jnp.asarray(np.random.default_rng(0).normal(size=image.shape), jnp.float32)
         return jnp.sum(image * weights) + jnp.sum(alpha * weights[..., 0]), (image, alpha)
 
@@ -85,11 +86,11 @@ def test_a_million_splats_in_one_pixel():
 
 
 def test_it_is_refused_by_name_where_the_machine_cannot_run_it(monkeypatch):
-    monkeypatch.setattr(cpu, "best_instructions", lambda: "avx2")
+    monkeypatch.setattr(native, "best_instructions", lambda: "avx2")
     assert "no avx512" in cpu.avx512.why_unavailable()
     assert cpu.avx2.why_unavailable() is None
 
 
 def test_an_installation_without_the_library_says_how_to_get_it(monkeypatch, tmp_path):
-    monkeypatch.setattr(cpu, "FOLDER", tmp_path)
-    assert "install a compiler" in cpu.best.why_unavailable()
+    monkeypatch.setattr(native, "FOLDER", tmp_path)
+    assert "install a C++" in cpu.best.why_unavailable()

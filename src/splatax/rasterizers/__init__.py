@@ -1,7 +1,8 @@
 """Rasterizer backends behind one function: `composite`.
 
 A backend is a module, or an object in one, with `composite(splats, channels)` and
-`why_unavailable()`; the contract suite in `tests/contracts/` says what it must do.
+`why_unavailable()`; the contract suite in `tests/contracts/` says what it must do. It may have a
+`project` too, and compute in single precision alone (`DOUBLE_PRECISION = False`).
 """
 
 import importlib
@@ -10,6 +11,7 @@ from typing import Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from splatax.splats import Splats
@@ -41,24 +43,32 @@ class Backend(Protocol):
         ...
 
 
-def resolve(backend: str = AUTO) -> str:
+def resolve(backend: str = AUTO, dtype: DTypeLike = jnp.float32) -> str:
     """The name of the backend to use. Call it outside `jit`: the name is static inside.
 
-    "auto" is the first available one for the default JAX platform. One asked for by name is never
-    replaced by another.
+    "auto" is the first available one for the default JAX platform that computes in `dtype`. One
+    asked for by name is never replaced by another.
 
     Raises:
         ValueError: if there is no such backend, or it cannot run here; the message says why.
     """
     if backend == AUTO:
         names = PREFERENCE.get(jax.default_backend(), PREFERENCE["gpu"])
-        return next(name for name in names if implementation(name).why_unavailable() is None)
+        return next(name for name in names if why_unavailable(name, dtype) is None)
     if backend not in BACKENDS:
         raise ValueError(f"no rasterizer backend {backend!r}: choose from {', '.join([AUTO, *BACKENDS])}")
-    reason = implementation(backend).why_unavailable()
+    reason = why_unavailable(backend, dtype)
     if reason is not None:
         raise ValueError(f"rasterizer backend {backend!r} is not available: {reason}")
     return backend
+
+
+def why_unavailable(backend: str, dtype: DTypeLike = jnp.float32) -> str | None:
+    """Why a backend cannot compute in `dtype` here; None if it can."""
+    found = implementation(backend)
+    if jnp.dtype(dtype) != jnp.float32 and not getattr(found, "DOUBLE_PRECISION", True):
+        return f"it computes in float32, not in {jnp.dtype(dtype).name}"
+    return found.why_unavailable()
 
 
 def implementation(name: str) -> Backend:
@@ -87,7 +97,7 @@ def composite(
     if splats.means2d.shape[0] == 0:
         size, dtype = (splats.height, splats.width), splats.means2d.dtype
         return jnp.zeros((*size, channels.shape[1]), dtype), jnp.zeros(size, dtype)
-    return _composite(splats, channels, resolve(backend))
+    return _composite(splats, channels, resolve(backend, splats.means2d.dtype))
 
 
 @partial(jax.jit, static_argnames="backend")

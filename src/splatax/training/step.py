@@ -54,7 +54,7 @@ def train_step(state: TrainState, batch: Batch, recipe: Recipe) -> tuple[TrainSt
         return recipe.loss(over(sums, alpha, background), photo)
 
     def project_view(gaussians):
-        return project(gaussians, batch.camera, low_pass=recipe.low_pass)
+        return project(gaussians, batch.camera, low_pass=recipe.low_pass, backend=recipe.backend)
 
     splats, pull_back = jax.vjp(project_view, state.gaussians)
     loss, d_splats = jax.value_and_grad(image_loss)(splats)

@@ -9,6 +9,8 @@ namespace {
 
 constexpr int DIGIT_BITS = 11, DIGITS = 1 << DIGIT_BITS;  // of the radix sort: three passes
 
+constexpr int SMALL_BOX = 4;  // tiles: up to so many are listed without looking at the ellipse
+
 // Keeps the order of floats, negative ones too.
 uint32_t sort_key(float depth) {
   uint32_t bits;
@@ -56,9 +58,11 @@ int box_tiles(const Splat& splat) {
 // dy = -v sqrt(reach) / (w sqrt(v^2 + w^2)), or at the end of the band next to that; the left end,
 // by symmetry, opposite.
 int append_spans(const Splat& splat, std::vector<Span>& spans) {
-  if (splat.first_row == splat.last_row && splat.first_column == splat.last_column) {
-    spans.push_back({splat.first_row, splat.first_column, splat.last_column});
-    return 1;
+  if (box_tiles(splat) <= SMALL_BOX) {  // the blocks of its tiles will tell
+    for (int row = splat.first_row; row <= splat.last_row; ++row) {
+      spans.push_back({static_cast<uint16_t>(row), splat.first_column, splat.last_column});
+    }
+    return box_tiles(splat);
   }
   const float root = std::sqrt(splat.reach);
   const float steep = splat.w * std::sqrt(splat.v * splat.v + splat.w * splat.w);
@@ -92,6 +96,7 @@ int append_spans(const Splat& splat, std::vector<Span>& spans) {
 }  // namespace
 
 void Binning::collect(const Input& input, Workers& workers, int64_t max_pairs) {
+  listed_ = loaded_ = NONE;
   columns = (input.width + TILE - 1) / TILE, rows = (input.height + TILE - 1) / TILE;
   Splat* collected = collected_.at_least(input.count);
   uint32_t* keys = keys_.at_least(input.count);
@@ -134,6 +139,8 @@ void Binning::collect(const Input& input, Workers& workers, int64_t max_pairs) {
 }
 
 void Binning::load_channels(const Input& input, int first, int size, Workers& workers) {
+  if (loaded_ == first) return;
+  loaded_ = first;
   workers.ranges(visible, [&](int, int begin, int end) {
     for (int i = begin; i < end; ++i) {
       const float* from = input.channels + static_cast<size_t>(splats[i].row) * input.channel_count + first;
@@ -170,7 +177,10 @@ void Binning::order(Workers& workers) {
   }
 }
 
-void Binning::list(const Round& round, Workers& workers) {
+void Binning::list(int number, Workers& workers) {
+  if (listed_ == number) return;
+  listed_ = number;
+  const Round& round = rounds[number];
   const int count = round.end - round.begin, ranges = workers.count();
   int32_t* first = first_pair.at_least(count + 1);
   histogram_.assign(static_cast<size_t>(ranges) * tiles(), 0);

@@ -40,12 +40,12 @@ class Binning {
   // Steps 1 and 2. Afterwards `splats` holds `visible` of them by depth, in at least one round.
   void collect(const Input& input, Workers& workers, int64_t max_pairs);
 
-  // Puts channels [first, first + size) of the input into the splats.
+  // Puts channels [first, first + size) of the input into the splats, unless they are there.
   void load_channels(const Input& input, int first, int size, Workers& workers);
 
-  // Step 3 for one of `rounds`. Afterwards tile t has `pairs[starts[t]] ... pairs[starts[t + 1] - 1]`,
+  // Step 3 for one of `rounds`, unless it is the one that was listed last. Afterwards tile t has `pairs[starts[t]] ... pairs[starts[t + 1] - 1]`,
   // and the pairs of splat i have the indices from `first_pair[i - begin]` to the next one's.
-  void list(const Round& round, Workers& workers);
+  void list(int round, Workers& workers);
 
   int columns = 0, rows = 0, visible = 0;
   std::vector<Round> rounds;
@@ -58,7 +58,11 @@ class Binning {
   int top(int tile) const { return tile / columns * TILE; }
 
  private:
+  static constexpr int NONE = -1;
+
   void order(Workers& workers);
+
+  int listed_ = NONE, loaded_ = NONE;  // round, first channel
 
   Buffer<Splat> collected_;
   Buffer<uint32_t> keys_, sorted_keys_;

@@ -3,6 +3,7 @@
 #include <string>
 #include <vector>
 
+#include "photometric.h"
 #include "projection.h"
 #include "rasterize.h"
 #include "xla/ffi/api/ffi.h"
@@ -13,25 +14,50 @@ namespace {
 namespace ffi = xla::ffi;
 using Floats = ffi::Buffer<ffi::F32>;
 using Result = ffi::ResultBuffer<ffi::F32>;
+using Ticket = ffi::Buffer<ffi::S32>;
 
-// Lends scratch memory to calls, one each; as many are kept as have ever run at the same time.
+// Lends scratch memory to calls, one each, and keeps some of it. What `rasterize` leaves there spares
+// its gradient the binning: a ticket goes with the image, and whoever shows it gets that memory back,
+// if nobody has needed it in between. Results do not depend on it.
 class ScratchPool {
  public:
   std::unique_ptr<Scratch> take() {
     const std::lock_guard<std::mutex> lock(mutex_);
-    if (free_.empty()) return std::make_unique<Scratch>();
-    auto scratch = std::move(free_.back());
-    free_.pop_back();
-    return scratch;
+    const bool expected = !free_.empty() && free_.front()->expected;
+    if (free_.empty() || (expected && free_.size() < KEPT)) return std::make_unique<Scratch>();
+    return remove(free_.begin());
+  }
+  // The memory of a ticket; null if it is not there any more.
+  std::unique_ptr<Scratch> take(int32_t ticket) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    for (auto it = free_.begin(); it != free_.end(); ++it) {
+      if ((*it)->ticket == ticket) return remove(it);
+    }
+    return nullptr;
   }
   void give_back(std::unique_ptr<Scratch> scratch) {
     const std::lock_guard<std::mutex> lock(mutex_);
-    free_.push_back(std::move(scratch));
+    if (free_.size() < KEPT) free_.insert(scratch->expected ? free_.end() : free_.begin(), std::move(scratch));
+  }
+  int32_t new_ticket() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    last_ = last_ == INT32_MAX ? 1 : last_ + 1;
+    return last_;
   }
 
  private:
+  static constexpr size_t KEPT = 3;
+  using List = std::vector<std::unique_ptr<Scratch>>;
+
+  std::unique_ptr<Scratch> remove(List::iterator it) {
+    auto scratch = std::move(*it);
+    free_.erase(it);
+    return scratch;
+  }
+
   std::mutex mutex_;
-  std::vector<std::unique_ptr<Scratch>> free_;
+  int32_t last_ = 0;
+  List free_;  // in the order in which they are to be used again
 };
 
 ScratchPool pool;
@@ -51,32 +77,40 @@ Input input_of(const Floats& means2d, const Floats& sqrt_conics, const Floats& d
 }
 
 ffi::Error forward(ffi::ThreadPool threads, Floats means2d, Floats sqrt_conics, Floats depths, Floats extents,
-                   Floats opacities, Floats channels, Result sums, Result alpha, int64_t thread_limit,
-                   int64_t max_pairs) {
+                   Floats opacities, Floats channels, Result sums, Result alpha,
+                   ffi::ResultBuffer<ffi::S32> ticket, int64_t thread_limit, int64_t max_pairs,
+                   int64_t gradient_follows) {
   Workers workers(threads, thread_limit);
   const auto size = alpha->dimensions();
   const Input input =
       input_of(means2d, sqrt_conics, depths, extents, opacities, channels, size[1], size[0]);
   auto scratch = pool.take();
+  scratch->ticket = 0;
   rasterize(input, {sums->typed_data(), alpha->typed_data()}, workers, *scratch, max_pairs);
+  *ticket->typed_data() = scratch->ticket = pool.new_ticket();
+  scratch->expected = gradient_follows != 0;
   pool.give_back(std::move(scratch));
   return ffi::Error::Success();
 }
 
 ffi::Error backward(ffi::ThreadPool threads, Floats means2d, Floats sqrt_conics, Floats depths,
                     Floats extents, Floats opacities, Floats channels, Floats sums, Floats alpha,
-                    Floats d_sums, Floats d_alpha, Result d_means2d, Result d_sqrt_conics,
+                    Ticket ticket, Floats d_sums, Floats d_alpha, Result d_means2d, Result d_sqrt_conics,
                     Result d_opacities, Result d_channels, int64_t thread_limit, int64_t max_pairs) {
   Workers workers(threads, thread_limit);
   const auto size = alpha.dimensions();
   const Input input =
       input_of(means2d, sqrt_conics, depths, extents, opacities, channels, size[1], size[0]);
-  auto scratch = pool.take();
+  auto scratch = pool.take(*ticket.typed_data());
+  const bool binned = scratch != nullptr;
+  if (!binned) scratch = pool.take();
+  if (!binned) scratch->ticket = 0;
+  scratch->expected = false;
   rasterize_gradient(
       input, {sums.typed_data(), alpha.typed_data(), d_sums.typed_data(), d_alpha.typed_data()},
       {d_means2d->typed_data(), d_sqrt_conics->typed_data(), d_opacities->typed_data(),
        d_channels->typed_data()},
-      workers, *scratch, max_pairs);
+      workers, *scratch, binned, max_pairs);
   pool.give_back(std::move(scratch));
   return ffi::Error::Success();
 }
@@ -123,6 +157,19 @@ ffi::Error project_backward(ffi::ThreadPool threads, Floats means, Floats quats,
   return ffi::Error::Success();
 }
 
+ffi::Error photometric_loss(ffi::ThreadPool threads, Floats image, Floats photo, Result loss, Result gradient,
+                            int64_t thread_limit, float ssim_weight) {
+  Workers workers(threads, thread_limit);
+  const auto size = image.dimensions();
+  const Pictures pictures{image.typed_data(), photo.typed_data(), static_cast<int>(size[0]),
+                          static_cast<int>(size[1]), static_cast<int>(size[2])};
+  auto scratch = pool.take();
+  float* memory = scratch->derivatives.at_least(photometric_scratch(pictures));
+  *loss->typed_data() = photometric(pictures, ssim_weight, gradient->typed_data(), memory, workers);
+  pool.give_back(std::move(scratch));
+  return ffi::Error::Success();
+}
+
 }  // namespace
 }  // namespace splatax
 
@@ -139,8 +186,10 @@ XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_rasterize, splatax::forward,
                                   .Arg<splatax::Floats>()   // channels [n c]
                                   .Ret<splatax::Floats>()   // sums [h w c]
                                   .Ret<splatax::Floats>()   // alpha [h w]
+                                  .Ret<splatax::Ticket>()   // for the gradient
                                   .Attr<int64_t>("threads")
-                                  .Attr<int64_t>("max_pairs"));
+                                  .Attr<int64_t>("max_pairs")
+                                  .Attr<int64_t>("gradient_follows"));
 
 XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_rasterize_gradient, splatax::backward,
                               xla::ffi::Ffi::Bind()
@@ -153,6 +202,7 @@ XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_rasterize_gradient, splatax::backward,
                                   .Arg<splatax::Floats>()
                                   .Arg<splatax::Floats>()   // sums
                                   .Arg<splatax::Floats>()   // alpha
+                                  .Arg<splatax::Ticket>()
                                   .Arg<splatax::Floats>()   // d_sums
                                   .Arg<splatax::Floats>()   // d_alpha
                                   .Ret<splatax::Floats>()   // d_means2d
@@ -209,5 +259,15 @@ XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_project_gradient, splatax::project_backwar
                                   .Attr<int64_t>("height")
                                   .Attr<float>("variance")
                                   .Attr<float>("floor"));
+
+XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_photometric, splatax::photometric_loss,
+                              xla::ffi::Ffi::Bind()
+                                  .Ctx<xla::ffi::ThreadPool>()
+                                  .Arg<splatax::Floats>()   // image [h w c]
+                                  .Arg<splatax::Floats>()   // photo [h w c]
+                                  .Ret<splatax::Floats>()   // loss []
+                                  .Ret<splatax::Floats>()   // dL / d image
+                                  .Attr<int64_t>("threads")
+                                  .Attr<float>("ssim_weight"));
 
 #pragma GCC visibility pop

@@ -82,8 +82,9 @@ void add_group(const Input& input, const Cotangents& cotangents, const Gradients
   Binning& binning = scratch.binning;
   binning.load_channels(input, first, size, workers);
   TileStates<TileGradient<C>> states(binning, scratch);
-  for (const Round& round : binning.rounds) {
-    binning.list(round, workers);
+  for (size_t number = 0; number < binning.rounds.size(); ++number) {
+    const Round round = binning.rounds[number];
+    binning.list(static_cast<int>(number), workers);
     const int32_t pairs = binning.starts[binning.tiles()];
     auto* shares = reinterpret_cast<float(*)[SHARES]>(
         scratch.shares.at_least(static_cast<size_t>(pairs) * SHARES));
@@ -104,7 +105,7 @@ void add_group(const Input& input, const Cotangents& cotangents, const Gradients
 }  // namespace
 
 void rasterize_gradient(const Input& input, const Cotangents& cotangents, const Gradients& gradients,
-                        Workers& workers, Scratch& scratch, int64_t max_pairs) {
+                        Workers& workers, Scratch& scratch, bool binned, int64_t max_pairs) {
   workers.ranges(input.count, [&](int, int begin, int end) {
     const auto clear = [&](float* array, size_t columns) {
       std::fill(array + begin * columns, array + end * columns, 0.0f);
@@ -112,7 +113,7 @@ void rasterize_gradient(const Input& input, const Cotangents& cotangents, const 
     clear(gradients.means2d, 2), clear(gradients.sqrt_conics, 3), clear(gradients.opacities, 1);
     clear(gradients.channels, input.channel_count);
   });
-  scratch.binning.collect(input, workers, max_pairs);
+  if (!binned) scratch.binning.collect(input, workers, max_pairs);
   each_group(input.channel_count, [&](int first, int size) {
     const auto add = size == 3 ? add_group<3> : add_group<GROUP>;
     add(input, cotangents, gradients, first, size, workers, scratch);

@@ -13,8 +13,9 @@ void draw_group(const Input& input, const Image& image, int first, int size, Wor
   Binning& binning = scratch.binning;
   binning.load_channels(input, first, size, workers);
   TileStates<TileImage<C>> states(binning, scratch);
-  for (const Round& round : binning.rounds) {
-    binning.list(round, workers);
+  for (size_t number = 0; number < binning.rounds.size(); ++number) {
+    const Round round = binning.rounds[number];
+    binning.list(static_cast<int>(number), workers);
     workers.each(binning.tiles(), [&](int tile) {
       const int left = binning.left(tile), top = binning.top(tile), begin = binning.starts[tile];
       TileImage<C> local, &state = states.of(tile, local);

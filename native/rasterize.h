@@ -29,15 +29,19 @@ struct Gradients {
 
 // Memory of a call, kept for the next one.
 struct Scratch {
+  int32_t ticket = 0;  // of the call of `rasterize` whose splats and lists are in it; 0 for none
+  bool expected = false;  // whether the gradient of that call is yet to come
   Binning binning;
   Buffer<unsigned char> states;
   Buffer<float> shares;
   Buffer<uint8_t> flags;
+  Buffer<float> derivatives;  // of `photometric`
 };
 
 void rasterize(const Input& input, const Image& image, Workers& workers, Scratch& scratch, int64_t max_pairs);
 
+// `binned`: whether the scratch memory is as `rasterize` of the same input has left it.
 void rasterize_gradient(const Input& input, const Cotangents& cotangents, const Gradients& gradients,
-                        Workers& workers, Scratch& scratch, int64_t max_pairs);
+                        Workers& workers, Scratch& scratch, bool binned, int64_t max_pairs);
 
 }  // namespace splatax

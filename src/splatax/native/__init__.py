@@ -37,7 +37,7 @@ class Build:
     def call(
         self,
         symbol: str,
-        shapes: Sequence[tuple[int, ...]],
+        shapes: Sequence[tuple[int, ...] | jax.ShapeDtypeStruct],
         arrays: Sequence[Array],
         **options: np.int64 | np.float32,
     ) -> Sequence[Array]:
@@ -45,12 +45,15 @@ class Build:
 
         Args:
             symbol: its name.
-            shapes: of the float32 arrays that it returns.
-            arrays: float32.
+            shapes: of the arrays that it returns; float32 unless they say otherwise.
+            arrays: float32, but for tickets that a function has returned.
             options: further arguments, static under `jit`.
         """
         target = register(self.instructions, symbol)
-        results = [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes]
+        results = [
+            shape if isinstance(shape, jax.ShapeDtypeStruct) else jax.ShapeDtypeStruct(shape, jnp.float32)
+            for shape in shapes
+        ]
         return jax.ffi.ffi_call(target, results, vmap_method="sequential")(
             *arrays, threads=np.int64(self.threads), **options
         )

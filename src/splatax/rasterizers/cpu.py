@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from splatax import native
 from splatax.camera import Camera
 from splatax.gaussians import Gaussians
-from splatax.native import Build, projection
+from splatax.native import Build, photometric, projection
 from splatax.splats import Splats
 
 MAX_PAIRS = 2**22  # (splat, tile) pairs in a round: at most 260 MB, however large the scene
@@ -54,6 +54,12 @@ class Native:
         """See `splatax.native.projection`."""
         return projection.project(gaussians, camera, self.build, variance, floor)
 
+    def photometric(
+        self, image: Float[Array, "h w c"], photo: Float[Array, "h w c"], ssim_weight: float
+    ) -> Float[Array, ""]:
+        """See `splatax.native.photometric`."""
+        return photometric.photometric(image, photo, ssim_weight, self.build)
+
 
 best = Native()
 avx512, avx2, baseline = (Native(instructions) for instructions in native.INSTRUCTIONS)
@@ -61,26 +67,36 @@ avx512, avx2, baseline = (Native(instructions) for instructions in native.INSTRU
 
 @partial(jax.custom_vjp, nondiff_argnums=(2, 3))
 def _composite(splats: Splats, channels: Float[Array, "n c"], build: Build, max_pairs: int):
-    return _forward(splats, channels, build, max_pairs)[0]
+    return _draw(splats, channels, build, max_pairs, gradient_follows=False)[:2]
 
 
 def _forward(splats: Splats, channels: Float[Array, "n c"], build: Build, max_pairs: int):
+    image = _draw(splats, channels, build, max_pairs, gradient_follows=True)
+    return tuple(image[:2]), (splats, channels, *image)
+
+
+def _draw(
+    splats: Splats, channels: Float[Array, "n c"], build: Build, max_pairs: int, gradient_follows: bool
+) -> tuple[Array, Array, Array]:
+    """Sums, alpha, and a ticket with which the gradient finds the lists of tiles again."""
     size = (splats.height, splats.width)
-    sums, alpha = build.call(
+    ticket = jax.ShapeDtypeStruct((), jnp.int32)
+    sums, alpha, ticket = build.call(
         "splatax_rasterize",
-        [(*size, channels.shape[1]), size],
+        [(*size, channels.shape[1]), size, ticket],
         _inputs(splats, channels),
         max_pairs=np.int64(max_pairs),
+        gradient_follows=np.int64(gradient_follows),
     )
-    return (sums, alpha), (splats, channels, sums, alpha)
+    return sums, alpha, ticket
 
 
 def _backward(build: Build, max_pairs: int, residuals, cotangents):
-    splats, channels, sums, alpha = residuals
+    splats, channels, *image = residuals
     means2d, sqrt_conics, opacities, d_channels = build.call(
         "splatax_rasterize_gradient",
         [splats.means2d.shape, splats.sqrt_conics.shape, splats.opacities.shape, channels.shape],
-        [*_inputs(splats, channels), sums, alpha, *cotangents],
+        [*_inputs(splats, channels), *image, *cotangents],
         max_pairs=np.int64(max_pairs),
     )
     nothing = jax.tree.map(jnp.zeros_like, splats)

@@ -51,6 +51,15 @@ int box_tiles(const Splat& splat) {
   return (splat.last_column - splat.first_column + 1) * (splat.last_row - splat.first_row + 1);
 }
 
+// Written field by field: copying a fresh Span waits for its stores.
+void append(std::vector<Span>& spans, int row, int first, int last) {
+  spans.emplace_back();
+  Span& span = spans.back();
+  span.row = static_cast<uint16_t>(row);
+  span.first = static_cast<uint16_t>(first);
+  span.last = static_cast<uint16_t>(last);
+}
+
 // Appends the tiles that the ellipse t^2 + s^2 <= reach touches, row by row.
 //
 // At height dy the ellipse reaches from (-v dy - c) / u to (-v dy + c) / u with c^2 = reach - w^2 dy^2.
@@ -60,7 +69,7 @@ int box_tiles(const Splat& splat) {
 int append_spans(const Splat& splat, std::vector<Span>& spans) {
   if (box_tiles(splat) <= SMALL_BOX) {  // the blocks of its tiles will tell
     for (int row = splat.first_row; row <= splat.last_row; ++row) {
-      spans.push_back({static_cast<uint16_t>(row), splat.first_column, splat.last_column});
+      append(spans, row, splat.first_column, splat.last_column);
     }
     return box_tiles(splat);
   }
@@ -87,7 +96,7 @@ int append_spans(const Splat& splat, std::vector<Span>& spans) {
       if (!(leftmost <= rightmost)) continue;
       first = static_cast<int>(leftmost) / TILE, last = static_cast<int>(rightmost) / TILE;
     }
-    spans.push_back({static_cast<uint16_t>(row), static_cast<uint16_t>(first), static_cast<uint16_t>(last)});
+    append(spans, row, first, last);
     count += last - first + 1;
   }
   return count;

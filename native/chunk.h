@@ -66,7 +66,7 @@ struct Chunk {
 struct PixelCentres {
   Lanes x, y;
 
-  PixelCentres() {
+  SPLATAX_INLINE PixelCentres() {
     alignas(64) float columns[LANES], rows[LANES];
     for (int lane = 0; lane < LANES; ++lane) {
       columns[lane] = lane % BLOCK + 0.5f, rows[lane] = lane / BLOCK + 0.5f;
@@ -80,7 +80,7 @@ struct Blend {
   Lanes raw, alpha, weight, after;  // opacity G; clamped, garbage where not drawn; T alpha; T behind it
   Mask drawn, alive;                // where it is drawn; where later splats may be
 
-  Blend(const Chunk& chunk, int i, Lanes x, Lanes y, Lanes transmittance, Mask alive_before) {
+  SPLATAX_INLINE Blend(const Chunk& chunk, int i, Lanes x, Lanes y, Lanes transmittance, Mask alive_before) {
     const Lanes dx = x - all(chunk.x[i]), dy = y - all(chunk.y[i]);
     const Lanes t = multiply_add(all(chunk.u[i]), dx, all(chunk.v[i]) * dy), s = all(chunk.w[i]) * dy;
     const Lanes exponent = multiply_subtract_from(s, s, multiply_subtract_from(t, t, all(chunk.level[i])));

@@ -20,7 +20,7 @@ constexpr int SHARES = 12;           // floats for a pair: the moments, and dL/d
 static_assert(MOMENTS + GROUP <= SHARES);
 
 // Moves the moments of a pair from the tile's centre to the splat's mean.
-inline void move_to_mean(const Splat& splat, float centre_x, float centre_y, float* share) {
+SPLATAX_INLINE void move_to_mean(const Splat& splat, float centre_x, float centre_y, float* share) {
   const float dx = centre_x - splat.x, dy = centre_y - splat.y;
   const float g = share[0], gx = share[1] + dx * g, gy = share[2] + dy * g;
   share[3] += dx * (share[1] + gx);

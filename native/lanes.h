@@ -14,6 +14,9 @@
 
 namespace splatax {
 
+// Vectors that are passed to a function in memory cost more than the function.
+#define SPLATAX_INLINE inline __attribute__((always_inline))
+
 constexpr int LANES = 16;
 
 #if defined(__AVX512F__)
@@ -25,33 +28,33 @@ struct Mask {
   __mmask16 m;
 };
 
-inline Lanes all(float x) { return {_mm512_set1_ps(x)}; }
-inline Lanes load(const float* from) { return {_mm512_loadu_ps(from)}; }
-inline void store(float* to, Lanes a) { _mm512_storeu_ps(to, a.v); }
-inline Lanes operator+(Lanes a, Lanes b) { return {_mm512_add_ps(a.v, b.v)}; }
-inline Lanes operator-(Lanes a, Lanes b) { return {_mm512_sub_ps(a.v, b.v)}; }
-inline Lanes operator*(Lanes a, Lanes b) { return {_mm512_mul_ps(a.v, b.v)}; }
-inline Lanes operator/(Lanes a, Lanes b) { return {_mm512_div_ps(a.v, b.v)}; }
-inline Lanes sqrt(Lanes a) { return {_mm512_sqrt_ps(a.v)}; }
-inline Lanes multiply_add(Lanes a, Lanes b, Lanes c) { return {_mm512_fmadd_ps(a.v, b.v, c.v)}; }
-inline Lanes multiply_subtract_from(Lanes a, Lanes b, Lanes c) { return {_mm512_fnmadd_ps(a.v, b.v, c.v)}; }
-inline Lanes min(Lanes a, Lanes b) { return {_mm512_min_ps(a.v, b.v)}; }
-inline Lanes max(Lanes a, Lanes b) { return {_mm512_max_ps(a.v, b.v)}; }
-inline Mask operator<=(Lanes a, Lanes b) { return {_mm512_cmp_ps_mask(a.v, b.v, _CMP_LE_OQ)}; }
-inline Mask operator&(Mask a, Mask b) { return {static_cast<__mmask16>(a.m & b.m)}; }
-inline Mask and_not(Mask a, Mask b) { return {static_cast<__mmask16>(a.m & ~b.m)}; }
-inline uint32_t bits(Mask a) { return a.m; }
-inline Lanes where(Mask mask, Lanes a, Lanes b) { return {_mm512_mask_mov_ps(b.v, mask.m, a.v)}; }
-inline Lanes or_zero(Mask mask, Lanes a) { return {_mm512_maskz_mov_ps(mask.m, a.v)}; }
+SPLATAX_INLINE Lanes all(float x) { return {_mm512_set1_ps(x)}; }
+SPLATAX_INLINE Lanes load(const float* from) { return {_mm512_loadu_ps(from)}; }
+SPLATAX_INLINE void store(float* to, Lanes a) { _mm512_storeu_ps(to, a.v); }
+SPLATAX_INLINE Lanes operator+(Lanes a, Lanes b) { return {_mm512_add_ps(a.v, b.v)}; }
+SPLATAX_INLINE Lanes operator-(Lanes a, Lanes b) { return {_mm512_sub_ps(a.v, b.v)}; }
+SPLATAX_INLINE Lanes operator*(Lanes a, Lanes b) { return {_mm512_mul_ps(a.v, b.v)}; }
+SPLATAX_INLINE Lanes operator/(Lanes a, Lanes b) { return {_mm512_div_ps(a.v, b.v)}; }
+SPLATAX_INLINE Lanes sqrt(Lanes a) { return {_mm512_sqrt_ps(a.v)}; }
+SPLATAX_INLINE Lanes multiply_add(Lanes a, Lanes b, Lanes c) { return {_mm512_fmadd_ps(a.v, b.v, c.v)}; }
+SPLATAX_INLINE Lanes multiply_subtract_from(Lanes a, Lanes b, Lanes c) { return {_mm512_fnmadd_ps(a.v, b.v, c.v)}; }
+SPLATAX_INLINE Lanes min(Lanes a, Lanes b) { return {_mm512_min_ps(a.v, b.v)}; }
+SPLATAX_INLINE Lanes max(Lanes a, Lanes b) { return {_mm512_max_ps(a.v, b.v)}; }
+SPLATAX_INLINE Mask operator<=(Lanes a, Lanes b) { return {_mm512_cmp_ps_mask(a.v, b.v, _CMP_LE_OQ)}; }
+SPLATAX_INLINE Mask operator&(Mask a, Mask b) { return {static_cast<__mmask16>(a.m & b.m)}; }
+SPLATAX_INLINE Mask and_not(Mask a, Mask b) { return {static_cast<__mmask16>(a.m & ~b.m)}; }
+SPLATAX_INLINE uint32_t bits(Mask a) { return a.m; }
+SPLATAX_INLINE Lanes where(Mask mask, Lanes a, Lanes b) { return {_mm512_mask_mov_ps(b.v, mask.m, a.v)}; }
+SPLATAX_INLINE Lanes or_zero(Mask mask, Lanes a) { return {_mm512_maskz_mov_ps(mask.m, a.v)}; }
 
 // 1 / x to float32 rounding, give or take one bit: an estimate and a step of Newton.
-inline Lanes reciprocal(Lanes x) {
+SPLATAX_INLINE Lanes reciprocal(Lanes x) {
   const Lanes estimate{_mm512_rcp14_ps(x.v)};
   return estimate * multiply_subtract_from(x, estimate, all(2));
 }
 
-inline Lanes round(Lanes x) { return {_mm512_roundscale_ps(x.v, _MM_FROUND_TO_NEAREST_INT)}; }
-inline Lanes times_power_of_two(Lanes x, Lanes integer) { return {_mm512_scalef_ps(x.v, integer.v)}; }
+SPLATAX_INLINE Lanes round(Lanes x) { return {_mm512_roundscale_ps(x.v, _MM_FROUND_TO_NEAREST_INT)}; }
+SPLATAX_INLINE Lanes times_power_of_two(Lanes x, Lanes integer) { return {_mm512_scalef_ps(x.v, integer.v)}; }
 
 #else
 
@@ -73,7 +76,7 @@ struct Mask {
 
 // Calls operation(part) for each native vector; unrolled, because PARTS is a constant.
 template <class Result, class Operation>
-inline __attribute__((always_inline)) Result each_part(Operation operation) {
+SPLATAX_INLINE Result each_part(Operation operation) {
   Result result;
 #pragma GCC unroll 4
   for (int part = 0; part < PARTS; ++part) operation(result, part);
@@ -84,39 +87,39 @@ inline __attribute__((always_inline)) Result each_part(Operation operation) {
 #define SPLATAX_MASK(expression) \
   each_part<Mask>([&](Mask& result, int k) __attribute__((always_inline)) { result.m[k] = expression; })
 
-inline Lanes all(float x) { return SPLATAX_LANES(x - Floats{}); }
-inline Lanes load(const float* from) {
+SPLATAX_INLINE Lanes all(float x) { return SPLATAX_LANES(x - Floats{}); }
+SPLATAX_INLINE Lanes load(const float* from) {
   Lanes result;
   std::memcpy(&result, from, sizeof result);
   return result;
 }
-inline void store(float* to, Lanes a) { std::memcpy(to, &a, sizeof a); }
-inline Lanes operator+(Lanes a, Lanes b) { return SPLATAX_LANES(a.v[k] + b.v[k]); }
-inline Lanes operator-(Lanes a, Lanes b) { return SPLATAX_LANES(a.v[k] - b.v[k]); }
-inline Lanes operator*(Lanes a, Lanes b) { return SPLATAX_LANES(a.v[k] * b.v[k]); }
-inline Lanes operator/(Lanes a, Lanes b) { return SPLATAX_LANES(a.v[k] / b.v[k]); }
-inline Lanes sqrt(Lanes a) {
+SPLATAX_INLINE void store(float* to, Lanes a) { std::memcpy(to, &a, sizeof a); }
+SPLATAX_INLINE Lanes operator+(Lanes a, Lanes b) { return SPLATAX_LANES(a.v[k] + b.v[k]); }
+SPLATAX_INLINE Lanes operator-(Lanes a, Lanes b) { return SPLATAX_LANES(a.v[k] - b.v[k]); }
+SPLATAX_INLINE Lanes operator*(Lanes a, Lanes b) { return SPLATAX_LANES(a.v[k] * b.v[k]); }
+SPLATAX_INLINE Lanes operator/(Lanes a, Lanes b) { return SPLATAX_LANES(a.v[k] / b.v[k]); }
+SPLATAX_INLINE Lanes sqrt(Lanes a) {
   float values[LANES];
   std::memcpy(values, &a, sizeof a);
   for (float& value : values) value = __builtin_sqrtf(value);  // one instruction a vector
   return load(values);
 }
 // Compilers contract these where the machine has fused multiply-add.
-inline Lanes multiply_add(Lanes a, Lanes b, Lanes c) { return SPLATAX_LANES(a.v[k] * b.v[k] + c.v[k]); }
-inline Lanes multiply_subtract_from(Lanes a, Lanes b, Lanes c) {
+SPLATAX_INLINE Lanes multiply_add(Lanes a, Lanes b, Lanes c) { return SPLATAX_LANES(a.v[k] * b.v[k] + c.v[k]); }
+SPLATAX_INLINE Lanes multiply_subtract_from(Lanes a, Lanes b, Lanes c) {
   return SPLATAX_LANES(c.v[k] - a.v[k] * b.v[k]);
 }
-inline Lanes min(Lanes a, Lanes b) { return SPLATAX_LANES(a.v[k] < b.v[k] ? a.v[k] : b.v[k]); }
-inline Lanes max(Lanes a, Lanes b) { return SPLATAX_LANES(a.v[k] > b.v[k] ? a.v[k] : b.v[k]); }
-inline Mask operator<=(Lanes a, Lanes b) { return SPLATAX_MASK(a.v[k] <= b.v[k]); }
-inline Mask operator&(Mask a, Mask b) { return SPLATAX_MASK(a.m[k] & b.m[k]); }
-inline Mask and_not(Mask a, Mask b) { return SPLATAX_MASK(a.m[k] & ~b.m[k]); }
-inline Lanes where(Mask mask, Lanes a, Lanes b) { return SPLATAX_LANES(mask.m[k] ? a.v[k] : b.v[k]); }
-inline Lanes or_zero(Mask mask, Lanes a) {
+SPLATAX_INLINE Lanes min(Lanes a, Lanes b) { return SPLATAX_LANES(a.v[k] < b.v[k] ? a.v[k] : b.v[k]); }
+SPLATAX_INLINE Lanes max(Lanes a, Lanes b) { return SPLATAX_LANES(a.v[k] > b.v[k] ? a.v[k] : b.v[k]); }
+SPLATAX_INLINE Mask operator<=(Lanes a, Lanes b) { return SPLATAX_MASK(a.v[k] <= b.v[k]); }
+SPLATAX_INLINE Mask operator&(Mask a, Mask b) { return SPLATAX_MASK(a.m[k] & b.m[k]); }
+SPLATAX_INLINE Mask and_not(Mask a, Mask b) { return SPLATAX_MASK(a.m[k] & ~b.m[k]); }
+SPLATAX_INLINE Lanes where(Mask mask, Lanes a, Lanes b) { return SPLATAX_LANES(mask.m[k] ? a.v[k] : b.v[k]); }
+SPLATAX_INLINE Lanes or_zero(Mask mask, Lanes a) {
   return SPLATAX_LANES(reinterpret_cast<Floats>(reinterpret_cast<Ints>(a.v[k]) & mask.m[k]));
 }
 
-inline uint32_t bits(Mask a) {
+SPLATAX_INLINE uint32_t bits(Mask a) {
   uint32_t result = 0;
   for (int k = 0; k < PARTS; ++k) {
 #if defined(__AVX2__)
@@ -132,13 +135,13 @@ inline uint32_t bits(Mask a) {
   return result;
 }
 
-inline Lanes reciprocal(Lanes x) { return SPLATAX_LANES(1.0f / x.v[k]); }
+SPLATAX_INLINE Lanes reciprocal(Lanes x) { return SPLATAX_LANES(1.0f / x.v[k]); }
 
 // Adding 1.5 * 2^23 leaves no bits for a fraction. For |x| < 2^22.
-inline Lanes round(Lanes x) { return SPLATAX_LANES((x.v[k] + 12582912.0f) - 12582912.0f); }
+SPLATAX_INLINE Lanes round(Lanes x) { return SPLATAX_LANES((x.v[k] + 12582912.0f) - 12582912.0f); }
 
 // Adds to the exponent; under 2^-126 the result is not exact, but still small.
-inline Lanes times_power_of_two(Lanes x, Lanes integer) {
+SPLATAX_INLINE Lanes times_power_of_two(Lanes x, Lanes integer) {
   integer = max(integer, all(-126));
   return SPLATAX_LANES(reinterpret_cast<Floats>(reinterpret_cast<Ints>(x.v[k]) +
                                                 (__builtin_convertvector(integer.v[k], Ints) << 23)));
@@ -146,20 +149,20 @@ inline Lanes times_power_of_two(Lanes x, Lanes integer) {
 
 #endif
 
-inline Lanes operator-(Lanes a) { return all(0) - a; }
-inline Lanes operator+(Lanes a, float b) { return a + all(b); }
-inline Lanes operator-(Lanes a, float b) { return a - all(b); }
-inline Lanes operator-(float a, Lanes b) { return all(a) - b; }
-inline Lanes operator*(float a, Lanes b) { return all(a) * b; }
-inline Lanes& operator+=(Lanes& a, Lanes b) { return a = a + b; }
-inline Mask operator<(Lanes a, Lanes b) { return and_not(a <= b, b <= a); }
-inline Lanes absolute(Lanes a) { return max(a, -a); }
+SPLATAX_INLINE Lanes operator-(Lanes a) { return all(0) - a; }
+SPLATAX_INLINE Lanes operator+(Lanes a, float b) { return a + all(b); }
+SPLATAX_INLINE Lanes operator-(Lanes a, float b) { return a - all(b); }
+SPLATAX_INLINE Lanes operator-(float a, Lanes b) { return all(a) - b; }
+SPLATAX_INLINE Lanes operator*(float a, Lanes b) { return all(a) * b; }
+SPLATAX_INLINE Lanes& operator+=(Lanes& a, Lanes b) { return a = a + b; }
+SPLATAX_INLINE Mask operator<(Lanes a, Lanes b) { return and_not(a <= b, b <= a); }
+SPLATAX_INLINE Lanes absolute(Lanes a) { return max(a, -a); }
 
-inline bool any(Mask mask) { return bits(mask) != 0; }
+SPLATAX_INLINE bool any(Mask mask) { return bits(mask) != 0; }
 
 // 2^x for x in [-100, 100], to 2e-7: a polynomial for 2^f with f in [-1/2, 1/2], with the least
 // largest relative error (Remez), times 2^integer.
-inline Lanes exp2(Lanes x) {
+SPLATAX_INLINE Lanes exp2(Lanes x) {
   const Lanes integer = round(x), f = x - integer;
   Lanes p = all(1.3240888e-03f);
   p = multiply_add(p, f, all(9.674739e-03f));

@@ -9,7 +9,7 @@ namespace splatax {
 
 // to[n] = sum over lanes of values[n], for N from 9 to 12.
 template <int N>
-inline void add_up(const Lanes values[N], float* to) {
+SPLATAX_INLINE void add_up(const Lanes values[N], float* to) {
   static_assert(8 < N && N <= 12);
   const auto at = [&](int n) { return n < N ? values[n].v : _mm512_setzero_ps(); };
   // Quarters of a register: [a0 + a2, a1 + a3, b0 + b2, b1 + b3].
@@ -36,7 +36,7 @@ inline void add_up(const Lanes values[N], float* to) {
 
 typedef float Four __attribute__((vector_size(16)));
 
-inline Four folded(const Lanes& a) {
+SPLATAX_INLINE Four folded(const Lanes& a) {
 #if defined(__AVX2__)
   const Floats sum = a.v[0] + a.v[1];
   return __builtin_shufflevector(sum, sum, 0, 1, 2, 3) + __builtin_shufflevector(sum, sum, 4, 5, 6, 7);
@@ -47,7 +47,7 @@ inline Four folded(const Lanes& a) {
 
 // to[n] = sum over lanes of values[n], for N from 9 to 12.
 template <int N>
-inline void add_up(const Lanes values[N], float* to) {
+SPLATAX_INLINE void add_up(const Lanes values[N], float* to) {
   static_assert(8 < N && N <= 12);
   for (int n = 0; n < 12; n += 4) {
     const auto at = [&](int k) { return k < N ? folded(values[k]) : Four{}; };

@@ -14,43 +14,43 @@ struct Matrix {
   Vector column[3];
 };
 
-inline Vector operator+(const Vector& a, const Vector& b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
-inline Vector operator*(Lanes a, const Vector& b) { return {a * b.x, a * b.y, a * b.z}; }
-inline Lanes dot(const Vector& a, const Vector& b) {
+SPLATAX_INLINE Vector operator+(const Vector& a, const Vector& b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
+SPLATAX_INLINE Vector operator*(Lanes a, const Vector& b) { return {a * b.x, a * b.y, a * b.z}; }
+SPLATAX_INLINE Lanes dot(const Vector& a, const Vector& b) {
   return multiply_add(a.x, b.x, multiply_add(a.y, b.y, a.z * b.z));
 }
-inline Vector cross(const Vector& a, const Vector& b) {
+SPLATAX_INLINE Vector cross(const Vector& a, const Vector& b) {
   return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }
-inline Vector or_zero(Mask mask, const Vector& a) {
+SPLATAX_INLINE Vector or_zero(Mask mask, const Vector& a) {
   return {or_zero(mask, a.x), or_zero(mask, a.y), or_zero(mask, a.z)};
 }
 
 // m a, and m^T a.
-inline Vector operator*(const Matrix& m, const Vector& a) {
+SPLATAX_INLINE Vector operator*(const Matrix& m, const Vector& a) {
   return a.x * m.column[0] + a.y * m.column[1] + a.z * m.column[2];
 }
-inline Vector transposed_times(const Matrix& m, const Vector& a) {
+SPLATAX_INLINE Vector transposed_times(const Matrix& m, const Vector& a) {
   return {dot(m.column[0], a), dot(m.column[1], a), dot(m.column[2], a)};
 }
 
 // The column k of sixteen rows of `stride` floats each; rows past `count` repeat the last one.
-inline Lanes gather(const float* rows, int stride, int k, int count) {
+SPLATAX_INLINE Lanes gather(const float* rows, int stride, int k, int count) {
   alignas(64) float values[LANES];
   for (int lane = 0; lane < LANES; ++lane) {
     values[lane] = rows[static_cast<size_t>(lane < count ? lane : count - 1) * stride + k];
   }
   return load(values);
 }
-inline void scatter(Lanes values, float* rows, int stride, int k, int count) {
+SPLATAX_INLINE void scatter(Lanes values, float* rows, int stride, int k, int count) {
   alignas(64) float each[LANES];
   store(each, values);
   for (int lane = 0; lane < count; ++lane) rows[static_cast<size_t>(lane) * stride + k] = each[lane];
 }
-inline Vector gather_vector(const float* rows, int count) {
+SPLATAX_INLINE Vector gather_vector(const float* rows, int count) {
   return {gather(rows, 3, 0, count), gather(rows, 3, 1, count), gather(rows, 3, 2, count)};
 }
-inline void scatter_vector(const Vector& values, float* rows, int count) {
+SPLATAX_INLINE void scatter_vector(const Vector& values, float* rows, int count) {
   scatter(values.x, rows, 3, 0, count), scatter(values.y, rows, 3, 1, count), scatter(values.z, rows, 3, 2, count);
 }
 

@@ -17,20 +17,19 @@ namespace {
 //
 // where the moments gx ... are about the splat's mean. Those of a pair are about its tile's centre,
 // where they are small numbers; they move to the mean by x = X + d.
-void add_moments(const Input& input, const Splat& splat, const double moments[MOMENTS],
-                 const Gradients& gradients) {
-  const int row = splat.row;
-  const double u = input.sqrt_conics[3 * row], v = input.sqrt_conics[3 * row + 1];
-  const double w = input.sqrt_conics[3 * row + 2];
-  const double gx = moments[1], gy = moments[2], gxx = moments[3], gxy = moments[4], gyy = moments[5];
-  const double along = u * gx + v * gy;
-  const auto add = [](float& to, double value) { to += static_cast<float>(value); };
-  add(gradients.means2d[2 * row], u * along);
-  add(gradients.means2d[2 * row + 1], v * along + w * w * gy);
-  add(gradients.sqrt_conics[3 * row], -(u * gxx + v * gxy));
-  add(gradients.sqrt_conics[3 * row + 1], -(u * gxy + v * gyy));
-  add(gradients.sqrt_conics[3 * row + 2], -w * gyy);
-  add(gradients.opacities[row], moments[0] / input.opacities[row]);
+void add_moments(const Input& input, int row, const float moments[MOMENTS], const Gradients& gradients) {
+  const float* root = input.sqrt_conics + 3 * static_cast<size_t>(row);
+  const float u = root[0], v = root[1], w = root[2];
+  const float gx = moments[1], gy = moments[2], gxx = moments[3], gxy = moments[4], gyy = moments[5];
+  const float along = u * gx + v * gy;
+  float* d_mean = gradients.means2d + 2 * static_cast<size_t>(row);
+  float* d_root = gradients.sqrt_conics + 3 * static_cast<size_t>(row);
+  d_mean[0] += u * along;
+  d_mean[1] += v * along + w * w * gy;
+  d_root[0] -= u * gxx + v * gxy;
+  d_root[1] -= u * gxy + v * gyy;
+  d_root[2] -= w * gyy;
+  gradients.opacities[row] += moments[0] / input.opacities[row];
 }
 
 // Adds the shares of a round's pairs to the gradients, pair after pair: the order, and so the
@@ -39,18 +38,15 @@ void gather(const Input& input, const Binning& binning, const Round& round, cons
             const uint8_t* flags, int first, int size, const Gradients& gradients, Workers& workers) {
   workers.ranges(round.end - round.begin, [&](int, int begin, int end) {
     for (int i = begin; i < end; ++i) {
-      const Splat& splat = binning.splats[round.begin + i];
-      double sums[SHARES] = {};
-      bool seen = false;
+      const int row = binning.splats[round.begin + i].row;
+      float sums[SHARES] = {};
       for (int32_t index = binning.first_pair[i]; index < binning.first_pair[i + 1]; ++index) {
         if (!flags[index]) continue;
-        seen = true;
         for (int k = 0; k < SHARES; ++k) sums[k] += shares[index][k];
       }
-      if (!seen) continue;
-      add_moments(input, splat, sums, gradients);
-      float* channels = gradients.channels + static_cast<size_t>(splat.row) * input.channel_count + first;
-      for (int c = 0; c < size; ++c) channels[c] += static_cast<float>(sums[MOMENTS + c]);
+      add_moments(input, row, sums, gradients);
+      float* channels = gradients.channels + static_cast<size_t>(row) * input.channel_count + first;
+      for (int c = 0; c < size; ++c) channels[c] += sums[MOMENTS + c];
     }
   });
 }

@@ -190,18 +190,17 @@ Vector color_gradient(const Gaussians& gaussians, const View& view, const Projec
   const float* sh = gaussians.sh + static_cast<size_t>(first) * stride;
   float* d_sh = gradients.sh + static_cast<size_t>(first) * stride;
   // Where a colour is clamped to zero, it does not depend on anything.
-  Vector value{all(0.5f), all(0.5f), all(0.5f)};
+  Vector own[MAX_COEFFICIENTS], value{all(0.5f), all(0.5f), all(0.5f)};
   for (int k = 0; k < gaussians.coefficients; ++k) {
-    value = value + basis[k].value * Vector{gather(sh, stride, 3 * k, count), gather(sh, stride, 3 * k + 1, count),
-                                            gather(sh, stride, 3 * k + 2, count)};
+    own[k] = {gather(sh, stride, 3 * k, count), gather(sh, stride, 3 * k + 1, count),
+              gather(sh, stride, 3 * k + 2, count)};
+    value = value + basis[k].value * own[k];
   }
   d_color = {or_zero(seen & (zero < value.x), d_color.x), or_zero(seen & (zero < value.y), d_color.y),
              or_zero(seen & (zero < value.z), d_color.z)};
   Vector d_unit{zero, zero, zero};
   for (int k = 0; k < gaussians.coefficients; ++k) {
-    const Vector own{gather(sh, stride, 3 * k, count), gather(sh, stride, 3 * k + 1, count),
-                     gather(sh, stride, 3 * k + 2, count)};
-    d_unit = d_unit + dot(own, d_color) * Vector{basis[k].d[0], basis[k].d[1], basis[k].d[2]};
+    d_unit = d_unit + dot(own[k], d_color) * Vector{basis[k].d[0], basis[k].d[1], basis[k].d[2]};
     scatter(basis[k].value * d_color.x, d_sh, stride, 3 * k, count);
     scatter(basis[k].value * d_color.y, d_sh, stride, 3 * k + 1, count);
     scatter(basis[k].value * d_color.z, d_sh, stride, 3 * k + 2, count);

@@ -9,7 +9,7 @@ import tyro
 from splatax.cli.bench import Bench
 from splatax.cli.demo import Demo
 from splatax.cli.evaluate import Evaluate
-from splatax.cli.platform import keep_compiled_programs
+from splatax.cli.platform import keep_compiled_programs, keep_freed_memory
 from splatax.cli.render import Render
 from splatax.cli.train import Train
 from splatax.errors import InputError
@@ -34,6 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
     )
     keep_compiled_programs()
+    keep_freed_memory()
     try:
         command.run()
     except InputError as error:

@@ -97,7 +97,7 @@ struct TileGradient {
       total[5] = multiply_add(gy, y, total[5]);
 
       store(transmittance[b], where(step.alive, step.after, all(0) - step.after));
-      store(behind[b], where(step.drawn, still_behind, load(behind[b])));
+      store(behind[b], still_behind);  // own is zero where it is not drawn
       if (!any(step.alive)) live &= ~(1u << b);
     }
     add_up<MOMENTS + C>(total, shares);

@@ -80,10 +80,10 @@ def _draw(
 ) -> tuple[Array, Array, Array]:
     """Sums, alpha, and a ticket with which the gradient finds the lists of tiles again."""
     size = (splats.height, splats.width)
-    ticket = jax.ShapeDtypeStruct((), jnp.int32)
+    of_ticket = jax.ShapeDtypeStruct((), jnp.int32)
     sums, alpha, ticket = build.call(
         "splatax_rasterize",
-        [(*size, channels.shape[1]), size, ticket],
+        [(*size, channels.shape[1]), size, of_ticket],
         _inputs(splats, channels),
         max_pairs=np.int64(max_pairs),
         gradient_follows=np.int64(gradient_follows),

@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test quick lint bench clean
+.PHONY: demo test quick lint sanitize bench clean
 
 demo: $(READY)  ## trains on a small capture that it makes itself, and prints where the report is
 	$(BIN)/splatax demo --out runs/demo --overwrite
@@ -19,6 +19,14 @@ lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+SANITIZED := build/sanitize
+sanitize: $(READY)  ## runs the tests of the native library under the address and undefined-behaviour sanitizers
+	cmake -S . -B $(SANITIZED) -DPython_EXECUTABLE=$(abspath $(BIN)/python) -DSPLATAX_SANITIZE=address,undefined
+	cmake --build $(SANITIZED) --parallel
+	LD_PRELOAD="$$($(CXX) -print-file-name=libasan.so) $$($(CXX) -print-file-name=libubsan.so) $$($(CXX) -print-file-name=libstdc++.so)" \
+	  ASAN_OPTIONS=detect_leaks=0 SPLATAX_NATIVE=$(abspath $(SANITIZED)) \
+	  $(BIN)/python -m pytest tests/contracts tests/rasterizers -k cpu -m "not slow"
 
 bench: $(READY)  ## times the renderer and writes runs/bench
 	$(BIN)/splatax bench --out runs/bench

@@ -8,6 +8,7 @@ import tyro
 
 from splatax.cli.bench import Bench
 from splatax.cli.demo import Demo
+from splatax.cli.doctor import Doctor
 from splatax.cli.evaluate import Evaluate
 from splatax.cli.platform import keep_compiled_programs, keep_freed_memory
 from splatax.cli.render import Render
@@ -20,6 +21,7 @@ Command = (
     | Annotated[Render, tyro.conf.subcommand("render")]
     | Annotated[Demo, tyro.conf.subcommand("demo")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
+    | Annotated[Doctor, tyro.conf.subcommand("doctor")]
 )
 DESCRIPTION = "3D Gaussian Splatting in JAX: from photos to a scene, on CPU, GPU and TPU."
 

@@ -1,0 +1,76 @@
+"""`splatax doctor`: what runs here, and whether it computes what it should."""
+
+import os
+import sys
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+import splatax as sx
+from splatax import native, rasterizers
+from splatax.bench.scenes import procedural
+from splatax.cli.platform import device, versions
+
+GAUSSIANS, SIZE = 500, (64, 48)  # of the self-test
+TOLERANCE = 1e-4  # of the largest value: float32 sums over pixels in another order
+
+
+@dataclass(frozen=True)
+class Doctor:
+    """Show devices, rasterizers and versions, and test each rasterizer on a small scene.
+
+    The test compares image and gradients with the reference. Exit code 1 if any differs.
+    """
+
+    def run(self) -> None:
+        print(f"device        {device()}; JAX runs on {jax.default_backend()}")
+        print(f"threads       {usable_threads()} usable by this process")
+        if native.why_unavailable(None) is None:
+            print(f"instructions  {native.best_instructions()}")
+        print("versions      " + ", ".join(f"{name} {version}" for name, version in versions().items()))
+        table = Table("rasterizer", "state", "largest difference from the reference")
+        chosen, sound = rasterizers.resolve(), True
+        expected = image_and_gradient("reference")
+        for name in rasterizers.BACKENDS:
+            reason = rasterizers.why_unavailable(name)
+            if reason is not None:
+                table.add_row(name, f"not available: {reason}", "")
+                continue
+            error = difference(image_and_gradient(name), expected)
+            sound &= error <= TOLERANCE
+            state = "chosen by auto" if name == chosen else "available"
+            table.add_row(name, state, f"{error:.1e}" + ("" if error <= TOLERANCE else "  WRONG"))
+        Console().print(table)
+        if not sound:
+            print("A rasterizer is wrong here. Please report this, with all of the above.", file=sys.stderr)
+            sys.exit(1)
+
+
+def usable_threads() -> int:
+    """Of the processor, as far as this process may use them."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def image_and_gradient(backend: str) -> list[np.ndarray]:
+    """Of a small scene: the picture, and the gradient of a sum over it in scene and camera."""
+    scene = procedural(GAUSSIANS, SIZE)
+    weights = jnp.asarray(np.random.default_rng(0).normal(size=(SIZE[1], SIZE[0], 3)), jnp.float32)
+
+    def objective(gaussians, camera):
+        image = sx.render(gaussians, camera, backend=backend).rgb
+        return jnp.sum(image * weights), image
+
+    (_, image), gradient = jax.value_and_grad(objective, (0, 1), has_aux=True)(scene.gaussians, scene.camera)
+    return [np.asarray(array) for array in (image, *jax.tree.leaves(gradient))]
+
+
+def difference(actual: list[np.ndarray], expected: list[np.ndarray]) -> float:
+    """The largest, relative to the largest value of its array; infinite where one is not finite."""
+    errors = [
+        np.abs(a - e).max() / max(np.abs(e).max(), 1e-12) for a, e in zip(actual, expected, strict=True)
+    ]
+    return float(max(errors)) if np.isfinite(errors).all() else float("inf")

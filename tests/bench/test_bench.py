@@ -6,7 +6,7 @@ import pytest
 import splatax as sx
 from scenes import random_gaussians
 from splatax.bench import timing
-from splatax.bench.scenes import procedural, whole
+from splatax.bench.scenes import framed, procedural
 
 
 def test_operations_are_timed_in_turn():
@@ -36,7 +36,7 @@ def test_procedural_scenes_fill_the_image_with_as_many_layers(count):
 
 def test_a_whole_scene_is_in_view():
     gaussians = random_gaussians(n=500, degree=0)
-    scene = whole("cloud", gaussians, (64, 48))
+    scene = framed("cloud", gaussians, 1.0, (64, 48))
     splats = sx.project(gaussians, scene.camera)
     assert float((splats.extents[:, 0] > 0).mean()) > 0.95
     assert np.all(np.asarray(splats.means2d).mean(axis=0) == pytest.approx((32, 24), abs=4))

@@ -8,7 +8,7 @@ from numpy.testing import assert_array_equal
 from PIL import Image
 
 import splatax as sx
-from splatax import cli
+from splatax import cli, rasterizers
 
 SPLIT = ("photo00.png", "photo08.png")  # every 8th of nine
 
@@ -41,7 +41,7 @@ def test_config_holds_all_that_repeats_a_run(trained, capture):
     config = read_json(trained / "config.json")
     assert config["options"]["scene"] == str(capture)
     assert config["options"]["seed"] == 0
-    assert config["recipe"]["backend"] == "xla"
+    assert config["recipe"]["backend"] == rasterizers.resolve("auto")
     assert set(config["versions"]) >= {"splatax", "jax", "jaxlib", "numpy", "python"}
 
 
@@ -92,11 +92,13 @@ def test_eval_finds_the_options_of_the_run(capture, tmp_path, options):
     assert scores["psnr"] == pytest.approx(metrics["test"]["psnr"], abs=0.01)
 
 
-def test_bench_times_every_operation(tmp_path, capsys):
+def test_bench_times_every_operation_of_every_backend(tmp_path, capsys):
     out = tmp_path / "bench"
-    cli.main(f"bench --scenes 300 --sizes 40x30 --rounds 2 --out {out}".split())
+    cli.main(f"bench --scenes 300 --sizes 40x30 --backends xla reference --rounds 2 --out {out}".split())
     (result,) = read_json(out / "bench.json")["results"]
-    times = {row["operation"]: row for row in result["operations"]}
-    assert {"project", "project F+B", "loss F+B", "Adam", "rasterize", "rasterize F+B"} < set(times)
+    times = {(row["operation"], row["backend"]): row for row in result["operations"]}
+    names = {"project", "project F+B", "loss F+B", "Adam", "rasterize", "rasterize F+B", "training step"}
+    assert set(times) == {(name, backend) for name in names for backend in ("xla", "reference")}
     assert all(0 < row["minimum"] <= row["median"] for row in times.values())
     assert "300 procedural" in capsys.readouterr().out
+    assert Image.open(out / "bench.png").width > 100

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -21,32 +22,31 @@ Operation = Callable[[], Any]  # returns arrays to wait for
 BACKWARD = " F+B"  # forward and backward
 
 
-def shared(scene: Scene) -> dict[str, Operation]:
-    """What does not depend on the rasterizer."""
+def operations(scene: Scene, backend: str) -> dict[str, Operation]:
+    """Everything that a backend has a part in, and Adam."""
+    return {**projection(scene, backend), **rasterizer(scene, backend), **training(scene, backend)}
+
+
+def projection(scene: Scene, backend: str) -> dict[str, Operation]:
+    """Splats from Gaussians; the gradient is that of Gaussians and camera."""
     gaussians, camera = scene.gaussians, scene.camera
-    weights = project(gaussians, camera)
+    splats = project(gaussians, camera, backend=backend)
+    cotangents = replace(splats, extents=jnp.zeros_like(splats.extents))
 
     @jax.jit
-    def project_gradient(gaussians, camera):
-        def total(gaussians, camera):
-            products = jax.tree.map(lambda a, b: jnp.sum(a * b), project(gaussians, camera), weights)
-            return sum(jax.tree.leaves(products))
+    def gradient(gaussians, camera):
+        _, pull_back = jax.vjp(lambda g, c: project(g, c, backend=backend), gaussians, camera)
+        return pull_back(cotangents)
 
-        return jax.grad(total, argnums=(0, 1))(gaussians, camera)
-
-    image, photo = images(camera.height, camera.width)
-    loss_gradient = jax.jit(jax.value_and_grad(Photometric()))
     return {
-        "project": lambda: project(gaussians, camera),
-        f"project{BACKWARD}": lambda: project_gradient(gaussians, camera),
-        f"loss{BACKWARD}": lambda: loss_gradient(image, photo),
-        "Adam": adam(scene),
+        "project": lambda: project(gaussians, camera, backend=backend),
+        f"project{BACKWARD}": lambda: gradient(gaussians, camera),
     }
 
 
-def of_backend(scene: Scene, backend: str) -> dict[str, Operation]:
-    """What the rasterizer decides."""
-    splats = project(scene.gaussians, scene.camera)
+def rasterizer(scene: Scene, backend: str) -> dict[str, Operation]:
+    """Image from splats; the gradient is one of a weighted sum over the image."""
+    splats = project(scene.gaussians, scene.camera, backend=backend)
     weights, _ = images(scene.camera.height, scene.camera.width)
 
     @jax.jit
@@ -61,9 +61,16 @@ def of_backend(scene: Scene, backend: str) -> dict[str, Operation]:
 
         return jax.value_and_grad(total)(splats)
 
+    return {"rasterize": lambda: forward(splats), f"rasterize{BACKWARD}": lambda: gradient(splats)}
+
+
+def training(scene: Scene, backend: str) -> dict[str, Operation]:
+    """The loss, Adam, and all together."""
+    image, photo = images(scene.camera.height, scene.camera.width)
+    loss_gradient = jax.jit(jax.value_and_grad(partial(Photometric(), backend=backend)))
     return {
-        "rasterize": lambda: forward(splats),
-        f"rasterize{BACKWARD}": lambda: gradient(splats),
+        f"loss{BACKWARD}": lambda: loss_gradient(image, photo),
+        "Adam": adam(scene),
         "training step": step(scene, backend),
     }
 

@@ -57,18 +57,19 @@ def procedural(count: int, size: tuple[int, int], seed: int = 0) -> Scene:
     return Scene(f"{count:,} procedural", gaussians, camera)
 
 
-def whole(name: str, gaussians: Gaussians, size: tuple[int, int]) -> Scene:
-    """A scene seen from so far that nearly all of it is in the image.
+def framed(name: str, gaussians: Gaussians, nearness: float, size: tuple[int, int]) -> Scene:
+    """A scene from a distance.
 
     Args:
         name: of the scene.
         gaussians: in it.
+        nearness: 1 is so far that nearly all of it is in the image; 3, a third as far.
         size: of the image: width and height, pixels.
     """
     low, high = np.percentile(np.asarray(gaussians.means, np.float64), [1, 99], axis=0)
     centre, radius = (low + high) / 2, np.linalg.norm(high - low) / 2
     focal = FOCAL * max(size)
-    distance = radius / np.sin(np.arctan(min(size) / 2 / focal))
+    distance = radius / np.sin(np.arctan(min(size) / 2 / focal)) / nearness
     position = centre - distance * np.array(VIEW) / np.linalg.norm(VIEW)
     pose = look_at(*(jnp.asarray(v, jnp.float32) for v in (position, centre, (0, -1, 0))))
     return Scene(name, gaussians, Camera.simple_pinhole(focal, pose, *size))

@@ -13,15 +13,17 @@ from rich.console import Console
 from rich.table import Table
 
 import splatax as sx
-from splatax.bench.operations import of_backend, shared
-from splatax.bench.scenes import Scene, procedural, whole
+from splatax.bench.operations import Operation, operations
+from splatax.bench.plot import plot
+from splatax.bench.scenes import Scene, framed, procedural
 from splatax.bench.timing import Timing, interleaved
 from splatax.cli.options import BackendName, resolve_backend
 from splatax.cli.platform import device, peak_memory, versions
 from splatax.cli.results import write_json
 from splatax.errors import InputError
+from splatax.io.files import write_whole
 
-BIKER = "biker"  # a trained scene among the project's test data; timed where it is found
+BIKER = {"biker": 1.0, "biker-close": 3.0}  # a trained scene of the project's test data, from two distances
 
 
 @dataclass(frozen=True)
@@ -29,14 +31,14 @@ class Bench:
     """Time projection, rasterizer, loss, Adam and the whole training step.
 
     All operations are timed in turn, round after round, in one process. Prints a table of medians
-    and minima, and writes bench.json.
+    and minima, and writes bench.json and bench.png.
     """
 
     out: Path = Path("runs/bench")
-    """Folder for bench.json. An earlier one is replaced."""
-    scenes: tuple[str, ...] = ("10k", "50k", "150k", BIKER)
-    """Counts of Gaussians for a procedural scene (10k, 1M), splat files, or "biker", which is found
-    in $SPLATAX_DATA/splats."""
+    """Folder for bench.json and bench.png. Earlier ones are replaced."""
+    scenes: tuple[str, ...] = ("10k", "50k", "150k", *BIKER)
+    """Counts of Gaussians for a procedural scene (10k, 1M), splat files, or "biker" and "biker-close",
+    which are found in $SPLATAX_DATA/splats."""
     sizes: tuple[str, ...] = ("504x378",)
     """Of images, WIDTHxHEIGHT in pixels."""
     backends: tuple[BackendName, ...] = ("auto",)
@@ -58,7 +60,8 @@ class Bench:
                 results.append(measure(make(size), backends, self.rounds, console))
                 console.print(table(results[-1]))
                 write_json(self.out / "bench.json", self.contents(results))
-        print(f"timings {self.out / 'bench.json'}")
+        write_whole(self.out / "bench.png", plot(results))
+        print(f"timings {self.out / 'bench.json'}\nplot    {self.out / 'bench.png'}")
 
     def contents(self, results: list[dict[str, Any]]) -> dict[str, Any]:
         """Of bench.json."""
@@ -73,14 +76,12 @@ class Bench:
 
 def measure(scene: Scene, backends: list[str], rounds: int, console: Console) -> dict[str, Any]:
     """Times one scene at one size."""
-    operations = {("", name): operation for name, operation in shared(scene).items()}
+    by_key: dict[str, Operation] = {}
     for backend in backends:
-        operations |= {(backend, name): operation for name, operation in of_backend(scene, backend).items()}
-    labels = {f"{name} {backend}".strip(): (backend, name) for backend, name in operations}
+        by_key |= {f"{name}|{backend}": operation for name, operation in operations(scene, backend).items()}
+    timings: dict[str, Timing] = {}
     with console.status(f"{scene.name}: compiling") as status:
-        timings: dict[str, Timing] = {}
-        by_label = {label: operations[key] for label, key in labels.items()}
-        for done, timings in enumerate(interleaved(by_label, rounds), start=1):
+        for done, timings in enumerate(interleaved(by_key, rounds), start=1):
             status.update(f"{scene.name}: round {done} of {rounds}")
     visible = int((sx.project(scene.gaussians, scene.camera).extents[:, 0] > 0).sum())
     return {
@@ -91,8 +92,8 @@ def measure(scene: Scene, backends: list[str], rounds: int, console: Console) ->
         "width": scene.camera.width,
         "height": scene.camera.height,
         "operations": [
-            {"operation": labels[label][1], "backend": labels[label][0] or None, **asdict(timing)}
-            for label, timing in timings.items()
+            {"operation": key.split("|")[0], "backend": key.split("|")[1], **asdict(timing)}
+            for key, timing in timings.items()
         ],
         "peak_rss_bytes": peak_memory(),
     }
@@ -109,11 +110,15 @@ def table(result: dict[str, Any]) -> Table:
     drawn = Table(title=title, title_justify="left")
     for heading in ("operation", "backend"):
         drawn.add_column(heading)
-    for heading in ("median, ms", "minimum, ms", "first call, ms"):
+    for heading in ("median, ms", "minimum, ms", "first call, ms", "times the fastest"):
         drawn.add_column(heading, justify="right")
+    fastest: dict[str, float] = {}
     for row in result["operations"]:
+        fastest[row["operation"]] = min(row["median"], fastest.get(row["operation"], row["median"]))
+    for row in sorted(result["operations"], key=lambda row: list(fastest).index(row["operation"])):
         times = [f"{row[key]:.1f}" for key in ("median", "minimum", "first")]
-        drawn.add_row(row["operation"], row["backend"] or "", *times)
+        ratio = row["median"] / fastest[row["operation"]]
+        drawn.add_row(row["operation"], row["backend"], *times, f"{ratio:.2f}")
     return drawn
 
 
@@ -127,14 +132,16 @@ def scene_maker(name: str) -> Callable[[tuple[int, int]], Scene] | None:
     if count:
         return partial(procedural, int(count[1]) * {"": 1, "k": 1_000, "M": 1_000_000}[count[2]])
     path = Path(name)
-    if name == BIKER:
+    if name in BIKER:
         path = Path(os.environ.get("SPLATAX_DATA", "../shared/data")) / "splats" / "biker.compressed.ply"
         if not path.exists():
-            print(f"biker: skipped, no {path}. SPLATAX_DATA names the folder of test data.")
+            print(f"{name}: skipped, no {path}. SPLATAX_DATA names the folder of test data.")
             return None
     if not path.exists():
-        raise InputError(f"--scenes {name}: neither a count such as 50k, nor a splat file, nor {BIKER!r}.")
-    return partial(whole, name, sx.load(path))
+        raise InputError(
+            f"--scenes {name}: neither a count such as 50k, nor a splat file, nor {' or '.join(BIKER)}."
+        )
+    return partial(framed, name, sx.load(path), BIKER.get(name, 1.0))
 
 
 def parse_size(size: str) -> tuple[int, int]:

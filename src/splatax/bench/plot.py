@@ -1,0 +1,45 @@
+"""Time against the size of the scene, for each operation and backend."""
+
+import io
+from collections import defaultdict
+from typing import Any
+
+import numpy as np
+
+STYLES = ("-", "--", ":", "-.")  # of backends
+
+
+def plot(results: list[dict[str, Any]]) -> bytes:
+    """A PNG: medians over visible Gaussians, a panel for each image size.
+
+    Args:
+        results: as in bench.json.
+    """
+    from matplotlib.figure import Figure  # slow to import
+
+    sizes = list(dict.fromkeys((result["width"], result["height"]) for result in results))
+    figure = Figure(figsize=(6.5 * len(sizes), 5), layout="constrained")
+    panels = figure.subplots(1, len(sizes), squeeze=False)[0]
+    names = list(dict.fromkeys(row["operation"] for result in results for row in result["operations"]))
+    backends = list(dict.fromkeys(row["backend"] for result in results for row in result["operations"]))
+    for panel, size in zip(panels, sizes, strict=True):
+        lines = defaultdict(list)
+        for result in results:
+            if (result["width"], result["height"]) == size:
+                for row in result["operations"]:
+                    lines[row["operation"], row["backend"]].append((result["visible"], row["median"]))
+        for (name, backend), points in lines.items():
+            panel.loglog(
+                *np.array(sorted(points)).T,
+                STYLES[backends.index(backend) % len(STYLES)],
+                marker="o",
+                markersize=3,
+                color=f"C{names.index(name)}",
+                label=f"{name}, {backend}",
+            )
+        panel.set(title=f"{size[0]} x {size[1]}", xlabel="visible Gaussians", ylabel="milliseconds")
+        panel.grid(alpha=0.3, which="both")
+    panels[-1].legend(fontsize=7, loc="center left", bbox_to_anchor=(1, 0.5))
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110)
+    return buffer.getvalue()

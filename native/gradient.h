@@ -19,14 +19,16 @@ constexpr int MOMENTS = 6;           // g, g x, g y, g x^2, g x y, g y^2, about 
 constexpr int SHARES = 12;           // floats for a pair: the moments, and dL/d channels
 static_assert(MOMENTS + GROUP <= SHARES);
 
-// Moves the moments of a pair from the tile's centre to the splat's mean.
-SPLATAX_INLINE void move_to_mean(const Splat& splat, float centre_x, float centre_y, float* share) {
-  const float dx = centre_x - splat.x, dy = centre_y - splat.y;
-  const float g = share[0], gx = share[1] + dx * g, gy = share[2] + dy * g;
-  share[3] += dx * (share[1] + gx);
-  share[4] += dx * share[2] + dy * gx;
-  share[5] += dy * (share[2] + gy);
-  share[1] = gx, share[2] = gy;
+// The shares of a pair: its sums, with the moments moved from the tile's centre to the splat's mean,
+// which is at (-dx, -dy) of it. Number by number, because vectors cannot be read from fresh scalars
+// at once, nor the other way round.
+SPLATAX_INLINE void write_shares(const float* sums, float dx, float dy, float* shares) {
+  const float g = sums[0], gx = sums[1] + dx * g, gy = sums[2] + dy * g;
+  shares[0] = g, shares[1] = gx, shares[2] = gy;
+  shares[3] = sums[3] + dx * (sums[1] + gx);
+  shares[4] = sums[4] + dx * sums[2] + dy * gx;
+  shares[5] = sums[5] + dy * (sums[2] + gy);
+  for (int k = MOMENTS; k < SHARES; ++k) shares[k] = sums[k];
 }
 
 template <int C>
@@ -56,17 +58,18 @@ struct TileGradient {
       for (int i = 0; i < chunk.size && live; ++i) {
         if (!(blocks[i] & live)) continue;
         const Pair& pair = pairs[begin + i];
-        live = accumulate_splat(chunk, i, blocks[i] & live, live, left, top, shares[pair.index]);
-        move_to_mean(splats[pair.splat], left + TILE / 2, top + TILE / 2, shares[pair.index]);
+        alignas(64) float sums[LANES];
+        live = accumulate_splat(chunk, i, blocks[i] & live, live, left, top, sums);
+        write_shares(sums, left + TILE / 2 - chunk.x[i], top + TILE / 2 - chunk.y[i], shares[pair.index]);
         flags[pair.index] = 1;
       }
     }
   }
 
  private:
-  // One splat over some blocks; returns which blocks still have pixels that are not done.
+  // Sums over some blocks for one splat; returns which blocks still have pixels that are not done.
   uint32_t accumulate_splat(const Chunk& chunk, int i, uint32_t blocks, uint32_t live, float left, float top,
-                            float* shares) {
+                            float* sums) {
     const PixelCentres centres;
     Lanes total[MOMENTS + C];
     for (Lanes& sum : total) sum = all(0);
@@ -100,7 +103,7 @@ struct TileGradient {
       store(behind[b], still_behind);  // own is zero where it is not drawn
       if (!any(step.alive)) live &= ~(1u << b);
     }
-    add_up<MOMENTS + C>(total, shares);
+    add_up<MOMENTS + C>(total, sums);
     return live;
   }
 };

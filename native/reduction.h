@@ -7,7 +7,7 @@ namespace splatax {
 
 #if defined(__AVX512F__)
 
-// to[n] = sum over lanes of values[n], for N from 9 to 12.
+// to[n] = sum over lanes of values[n], for N from 9 to 12; `to` has room for sixteen.
 template <int N>
 SPLATAX_INLINE void add_up(const Lanes values[N], float* to) {
   static_assert(8 < N && N <= 12);
@@ -29,7 +29,7 @@ SPLATAX_INLINE void add_up(const Lanes values[N], float* to) {
   const __m512 r0 = _mm512_add_ps(_mm512_unpacklo_ps(r, zero), _mm512_unpackhi_ps(r, zero));
   const __m512 sums = _mm512_add_ps(_mm512_shuffle_ps(pq, r0, 0x44), _mm512_shuffle_ps(pq, r0, 0xEE));
   const __m512i order = _mm512_setr_epi32(0, 4, 8, 12, 1, 5, 9, 13, 2, 6, 10, 14, 3, 7, 11, 15);
-  _mm512_mask_storeu_ps(to, 0x0FFF, _mm512_permutexvar_ps(order, sums));
+  _mm512_storeu_ps(to, _mm512_permutexvar_ps(order, sums));  // not masked: that cannot be read at once
 }
 
 #else
@@ -45,7 +45,7 @@ SPLATAX_INLINE Four folded(const Lanes& a) {
 #endif
 }
 
-// to[n] = sum over lanes of values[n], for N from 9 to 12.
+// to[n] = sum over lanes of values[n], for N from 9 to 12; `to` has room for sixteen.
 template <int N>
 SPLATAX_INLINE void add_up(const Lanes values[N], float* to) {
   static_assert(8 < N && N <= 12);

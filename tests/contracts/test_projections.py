@@ -13,7 +13,8 @@ from splatax import rasterizers
 from splatax.projection import Antialiasing, Dilation, project
 
 OWN = [name for name in rasterizers.BACKENDS if hasattr(rasterizers.implementation(name), "project")]
-FIELDS = ("means2d", "sqrt_conics", "depths", "extents", "colors", "opacities")
+DIFFERENTIABLE = ("means2d", "sqrt_conics", "depths", "colors", "opacities")
+FIELDS = (*DIFFERENTIABLE, "extents")
 CAMERA = camera_at((0.3, 0.2, -3.0), size=(64, 48))
 
 
@@ -51,13 +52,14 @@ def test_splats_and_all_gradients_equal_those_of_plain_jax(backend, degree, low_
 
     rng = np.random.default_rng(0)
     weights = {}
-    for field in set(FIELDS) - {"extents"}:
+    for field in DIFFERENTIABLE:
         shape = getattr(expected, field).shape
         mask = visible.reshape(-1, *[1] * (len(shape) - 1))  # a rasterizer sends nothing to the culled
         weights[field] = jnp.asarray(rng.normal(size=shape) * mask, jnp.float32)
     of_jax, own = (gradients(gaussians, CAMERA, low_pass, name, weights) for name in ("xla", backend))
     for a, b in zip(jax.tree.leaves(own), jax.tree.leaves(of_jax), strict=True):
-        assert_allclose(a, b, atol=2e-5 * np.abs(b).max())
+        # A camera's are sums of hundreds of numbers of either sign.
+        assert_allclose(a, b, atol=1e-4 * np.abs(b).max())
 
 
 @pytest.mark.parametrize("low_pass", [Dilation(), Antialiasing()])
@@ -81,7 +83,7 @@ def test_absurd_gaussians_are_culled_and_leave_the_camera_its_gradient(backend, 
     splats = project(broken, CAMERA, low_pass=low_pass, backend=backend)
     culled = np.asarray(splats.extents[:, 0] == 0)
     assert culled[[0, 1, 2, 3, 4, 6, 7]].all()
-    weights = {field: jnp.ones_like(getattr(splats, field)) for field in set(FIELDS) - {"extents"}}
+    weights = {field: jnp.ones_like(getattr(splats, field)) for field in DIFFERENTIABLE}
     of_gaussians, of_camera = gradients(broken, CAMERA, low_pass, backend, weights)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(of_camera))
     assert all(np.isfinite(leaf[culled]).all() for leaf in jax.tree.leaves(of_gaussians))

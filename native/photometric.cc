@@ -45,19 +45,19 @@ struct Line {
 };
 
 // Up to sixteen floats; zeros past `count`.
-Lanes load_some(const float* from, int count) {
+SPLATAX_INLINE Lanes load_some(const float* from, int count) {
   if (count >= LANES) return load(from);
   alignas(64) float values[LANES] = {};
   std::memcpy(values, from, sizeof(float) * count);
   return load(values);
 }
-void store_some(float* to, Lanes values, int count) {
+SPLATAX_INLINE void store_some(float* to, Lanes values, int count) {
   if (count >= LANES) return store(to, values);
   alignas(64) float each[LANES];
   store(each, values);
   std::memcpy(to, each, sizeof(float) * count);
 }
-float sum_of(Lanes values, int count) {
+SPLATAX_INLINE float sum_of(Lanes values, int count) {
   alignas(64) float each[LANES];
   store(each, values);
   float total = 0;
@@ -75,7 +75,7 @@ class Rows {
 
   float* at(int plane, int i) { return &values_[static_cast<size_t>(plane) * stride_ + margin_ + i]; }
 
-  Lanes across(const Kernel& kernel, int plane, int i) {
+  SPLATAX_INLINE Lanes across(const Kernel& kernel, int plane, int i) {
     const float* centre = at(plane, i);
     Lanes sum = all(0);
     for (int k = 0; k < WINDOW; ++k) {

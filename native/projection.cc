@@ -178,7 +178,7 @@ void project_lanes(const Gaussians& gaussians, const View& view, const Projected
 }
 
 // dL/d sh, and the gradient that reaches the mean through the direction of view.
-Vector color_gradient(const Gaussians& gaussians, const View& view, const Projection& p, Vector d_color,
+SPLATAX_INLINE Vector color_gradient(const Gaussians& gaussians, const View& view, const Projection& p, Vector d_color,
                       Mask seen, const GaussianGradients& gradients, int first, int count) {
   const Direction direction(p, view);
   const Vector& unit = direction.unit;
@@ -215,10 +215,10 @@ struct CameraGradient {
   CameraGradient() {
     for (Lanes& sum : sums) sum = all(0);
   }
-  void add(int field, Lanes share) { sums[field] += share; }
-  void add(int field, const Vector& share) { add(field, share.x), add(field + 1, share.y), add(field + 2, share.z); }
+  SPLATAX_INLINE void add(int field, Lanes share) { sums[field] += share; }
+  SPLATAX_INLINE void add(int field, const Vector& share) { add(field, share.x), add(field + 1, share.y), add(field + 2, share.z); }
   // To the rotation: share a b^T.
-  void add_outer(const Vector& a, const Vector& b) {
+  SPLATAX_INLINE void add_outer(const Vector& a, const Vector& b) {
     add(ROTATION, a.x * b), add(ROTATION + 3, a.y * b), add(ROTATION + 6, a.z * b);
   }
   void add_to(double total[CAMERA_FIELDS]) const {
@@ -233,7 +233,7 @@ struct CameraGradient {
 // Slope x / z, clipped, in the Jacobian: what reaches the point, and through the bounds the camera.
 //
 // Returns dL/d (x / z); the bounds are -(c + margin) / f and (size - c + margin) / f.
-Lanes clip_gradient(const Clipped& slope, Lanes d_slope, Lanes focal, int focal_field, int centre_field,
+SPLATAX_INLINE Lanes clip_gradient(const Clipped& slope, Lanes d_slope, Lanes focal, int focal_field, int centre_field,
                     CameraGradient& camera) {
   const Lanes d_outside = where(slope.below, d_slope, or_zero(slope.above, d_slope));
   camera.add(centre_field, -(d_outside / focal));
@@ -242,7 +242,7 @@ Lanes clip_gradient(const Clipped& slope, Lanes d_slope, Lanes focal, int focal_
 }
 
 // dL/d log_scales and quats, from dL/d (R(q) S).
-void orientation_gradient(const Projection& p, const Matrix& d_oriented, Mask seen,
+SPLATAX_INLINE void orientation_gradient(const Projection& p, const Matrix& d_oriented, Mask seen,
                           const GaussianGradients& gradients, int first, int count) {
   Matrix d;  // of R(q)
   const size_t row = first;

@@ -88,12 +88,17 @@ SPLATAX_INLINE Result each_part(Operation operation) {
   each_part<Mask>([&](Mask& result, int k) __attribute__((always_inline)) { result.m[k] = expression; })
 
 SPLATAX_INLINE Lanes all(float x) { return SPLATAX_LANES(x - Floats{}); }
+// Vector by vector: copied whole, they go through memory in pieces of another size, and wait for it.
 SPLATAX_INLINE Lanes load(const float* from) {
   Lanes result;
-  std::memcpy(&result, from, sizeof result);
+#pragma GCC unroll 4
+  for (int k = 0; k < PARTS; ++k) std::memcpy(&result.v[k], from + WIDTH * k, sizeof(Floats));
   return result;
 }
-SPLATAX_INLINE void store(float* to, Lanes a) { std::memcpy(to, &a, sizeof a); }
+SPLATAX_INLINE void store(float* to, Lanes a) {
+#pragma GCC unroll 4
+  for (int k = 0; k < PARTS; ++k) std::memcpy(to + WIDTH * k, &a.v[k], sizeof(Floats));
+}
 SPLATAX_INLINE Lanes operator+(Lanes a, Lanes b) { return SPLATAX_LANES(a.v[k] + b.v[k]); }
 SPLATAX_INLINE Lanes operator-(Lanes a, Lanes b) { return SPLATAX_LANES(a.v[k] - b.v[k]); }
 SPLATAX_INLINE Lanes operator*(Lanes a, Lanes b) { return SPLATAX_LANES(a.v[k] * b.v[k]); }

@@ -15,8 +15,7 @@ namespace {
 //   dL/dv = -sum g t dy = -(u gxy + v gyy)        dL/dy = sum g (t v + s w) = v (u gx + v gy) + w^2 gy
 //   dL/dw = -sum g s dy = -w gyy                  dL/do = sum g / o
 //
-// where the moments gx ... are about the splat's mean. Those of a pair are about its tile's centre,
-// where they are small numbers; they move to the mean by x = X + d.
+// where the moments gx ... are about the splat's mean.
 void add_moments(const Input& input, int row, const float moments[MOMENTS], const Gradients& gradients) {
   const float* root = input.sqrt_conics + 3 * static_cast<size_t>(row);
   const float u = root[0], v = root[1], w = root[2];

@@ -10,7 +10,7 @@ STYLES = ("-", "--", ":", "-.")  # of backends
 
 
 def plot(results: list[dict[str, Any]]) -> bytes:
-    """A PNG: medians over visible Gaussians, a panel for each image size.
+    """A PNG: medians over visible Gaussians, a panel for each image size. Crosses are other scenes.
 
     Args:
         results: as in bench.json.
@@ -26,16 +26,19 @@ def plot(results: list[dict[str, Any]]) -> bytes:
         lines = defaultdict(list)
         for result in results:
             if (result["width"], result["height"]) == size:
+                # Scenes of one kind make a line; any other scene is a point by itself.
+                family = "" if result["procedural"] else result["scene"]
                 for row in result["operations"]:
-                    lines[row["operation"], row["backend"]].append((result["visible"], row["median"]))
-        for (name, backend), points in lines.items():
+                    key = row["operation"], row["backend"], family
+                    lines[key].append((result["visible"], row["median"]))
+        for (name, backend, family), points in lines.items():
             panel.loglog(
                 *np.array(sorted(points)).T,
                 STYLES[backends.index(backend) % len(STYLES)],
-                marker="o",
-                markersize=3,
+                marker="x" if family else "o",
+                markersize=4,
                 color=f"C{names.index(name)}",
-                label=f"{name}, {backend}",
+                label=None if family else f"{name}, {backend}",
             )
         panel.set(title=f"{size[0]} x {size[1]}", xlabel="visible Gaussians", ylabel="milliseconds")
         panel.grid(alpha=0.3, which="both")

@@ -21,6 +21,7 @@ class Scene:
     name: str
     gaussians: Gaussians
     camera: Camera
+    procedural: bool = False
 
 
 def procedural(count: int, size: tuple[int, int], seed: int = 0) -> Scene:
@@ -54,7 +55,7 @@ def procedural(count: int, size: tuple[int, int], seed: int = 0) -> Scene:
     )
     gaussians = Gaussians(*(jnp.asarray(field, jnp.float32) for field in fields))
     camera = Camera.simple_pinhole(focal, jnp.eye(4), *size)
-    return Scene(f"{count:,} procedural", gaussians, camera)
+    return Scene(f"{count:,} procedural", gaussians, camera, procedural=True)
 
 
 def framed(name: str, gaussians: Gaussians, nearness: float, size: tuple[int, int]) -> Scene:

@@ -86,6 +86,7 @@ def measure(scene: Scene, backends: list[str], rounds: int, console: Console) ->
     visible = int((sx.project(scene.gaussians, scene.camera).extents[:, 0] > 0).sum())
     return {
         "scene": scene.name,
+        "procedural": scene.procedural,
         "gaussians": len(scene.gaussians),
         "sh_degree": scene.gaussians.sh_degree,
         "visible": visible,

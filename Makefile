@@ -26,7 +26,7 @@ sanitize: $(READY)  ## runs the tests of the native library under the address an
 	cmake --build $(SANITIZED) --parallel
 	LD_PRELOAD="$$($(CXX) -print-file-name=libasan.so) $$($(CXX) -print-file-name=libubsan.so) $$($(CXX) -print-file-name=libstdc++.so)" \
 	  ASAN_OPTIONS=detect_leaks=0 SPLATAX_NATIVE=$(abspath $(SANITIZED)) \
-	  $(BIN)/python -m pytest tests/contracts tests/rasterizers -k cpu -m "not slow"
+	  $(BIN)/python -m pytest tests/contracts tests/rasterizers -k "test_cpu or cpu-avx512 or cpu-baseline" -m "not slow"
 
 bench: $(READY)  ## times the renderer and writes runs/bench
 	$(BIN)/splatax bench --out runs/bench

@@ -1,7 +1,7 @@
 // Sums over lanes of several vectors at once, as a transposition that adds on its way.
 #pragma once
 
-#include "lanes.h"
+#include "columns.h"
 
 namespace splatax {
 
@@ -33,8 +33,6 @@ SPLATAX_INLINE void add_up(const Lanes values[N], float* to) {
 }
 
 #else
-
-typedef float Four __attribute__((vector_size(16)));
 
 SPLATAX_INLINE Four folded(const Lanes& a) {
 #if defined(__AVX2__)

@@ -1,0 +1,151 @@
+// What the projection and its gradient have in common: the chain from a Gaussian to its ellipse, for
+// sixteen Gaussians at once.
+#pragma once
+
+#include <cmath>
+
+#include "columns.h"
+#include "harmonics.h"
+#include "projection.h"
+#include "splats.h"
+
+namespace splatax {
+
+// As in splatax/projection.py.
+constexpr float NEAR = 0.01f;
+constexpr float MAX_SLOPE = 1e6f;
+constexpr float MAX_LOG_SCALE = 40;
+constexpr float FRUSTUM_MARGIN = 0.3f;
+constexpr float LOG2_E = 1.442695041f;
+constexpr int PART = 4096;  // Gaussians that one thread works on at a time
+
+// x clipped to [low, high], and where it was inside.
+struct Clipped {
+  Lanes value;
+  Mask below, above;
+
+  Clipped(Lanes x, Lanes low, Lanes high)
+      : value(min(max(x, low), high)), below(x < low), above(high < x) {}
+};
+
+// What the image and the gradient have in common, for sixteen Gaussians.
+struct Projection {
+  Matrix rotation;            // of the camera, columns
+  Vector mean, point;         // in the world, and in camera axes; (0, 0, 1) where not in front
+  Lanes inverse_z, fx, fy, cx, cy, slope_x, slope_y;
+  Vector jacobian[2];         // rows of J
+  Lanes quat[4], quat_length, scale[3];
+  Mask scale_clamped[3];
+  Matrix turn, oriented, factor;  // R(q), R(q) S, W R(q) S
+  Vector f, g, normal;        // rows of J W R S, and f x g
+  Lanes a, b, c, sharp, determinant;
+  Lanes own_opacity, fade, opacity;
+  Mask usable;
+
+  Projection(const Gaussians& gaussians, const View& view, int first, int count) {
+    const float* camera = view.camera;
+    fx = all(camera[FX]), fy = all(camera[FY]), cx = all(camera[CX]), cy = all(camera[CY]);
+    for (int k = 0; k < 3; ++k) {
+      const float* column = camera + ROTATION + k;
+      rotation.column[k] = {all(column[0]), all(column[3]), all(column[6])};
+    }
+    mean = read_vectors(gaussians.means + 3 * static_cast<size_t>(first), count);
+    const float* t = camera + TRANSLATION;
+    const Vector seen = rotation * mean + Vector{all(t[0]), all(t[1]), all(t[2])};
+    const Lanes widest = MAX_SLOPE * seen.z;
+    const Mask in_front =
+        (all(NEAR) < seen.z) & (absolute(seen.x) < widest) & (absolute(seen.y) < widest);
+    mean = or_zero(in_front, mean);  // what is culled must not send a NaN back
+    point = {or_zero(in_front, seen.x), or_zero(in_front, seen.y), where(in_front, seen.z, all(1))};
+    inverse_z = all(1) / point.z;
+
+    slope_x = point.x * inverse_z, slope_y = point.y * inverse_z;
+    const Clipped x = clipped_x(view), y = clipped_y(view);
+    const Lanes kx = fx * inverse_z, ky = fy * inverse_z;
+    jacobian[0] = {kx, all(0), -(kx * x.value)};
+    jacobian[1] = {all(0), ky, -(ky * y.value)};
+
+    orient(gaussians, first, count);
+    for (int k = 0; k < 3; ++k) factor.column[k] = rotation * oriented.column[k];
+    f = transposed_times(factor, jacobian[0]), g = transposed_times(factor, jacobian[1]);
+    const Lanes size = dot(f, f) + dot(g, g), square = size * size;
+    usable = in_front & (absolute(square) < all(INFINITY));
+    f = or_zero(usable, f), g = or_zero(usable, g);
+    for (int k = 0; k < 3; ++k) {
+      oriented.column[k] = or_zero(usable, oriented.column[k]);
+      factor.column[k] = or_zero(usable, factor.column[k]);
+    }
+    normal = cross(f, g);
+    sharp = dot(normal, normal);
+    const Lanes variance = all(view.variance), aa = dot(f, f), cc = dot(g, g);
+    determinant = multiply_add(variance, aa + cc, sharp) + variance * variance;
+    a = aa + variance, b = dot(f, g), c = cc + variance;
+
+    const Lanes logit = read_numbers(gaussians.opacity_logits + first, count);
+    const Lanes decay = exp2(max(min(-LOG2_E * logit, all(120)), all(-120)));
+    own_opacity = all(1) / (decay + 1);
+    const Lanes floor = all(view.floor);
+    fade = sqrt(max(sharp / determinant, floor * floor));
+    opacity = own_opacity * fade;
+  }
+
+  Clipped clipped_x(const View& view) const {
+    const Lanes margin = all(FRUSTUM_MARGIN * 0.5f * view.width);
+    return {slope_x, -(cx + margin) / fx, (all(view.width) - cx + margin) / fx};
+  }
+  Clipped clipped_y(const View& view) const {
+    const Lanes margin = all(FRUSTUM_MARGIN * 0.5f * view.height);
+    return {slope_y, -(cy + margin) / fy, (all(view.height) - cy + margin) / fy};
+  }
+
+ private:
+  void orient(const Gaussians& gaussians, int first, int count) {
+    const Columns<4> quats(gaussians.quats + 4 * static_cast<size_t>(first), 4, count);
+    const Columns<3> log_scales(gaussians.log_scales + 3 * static_cast<size_t>(first), 3, count);
+    Lanes squared = all(0);
+    for (int k = 0; k < 4; ++k) {
+      quat[k] = quats[k];
+      squared = multiply_add(quat[k], quat[k], squared);
+    }
+    quat_length = sqrt(squared);
+    const Mask turned = all(0) < squared;  // a zero quaternion stays zero: no rotation
+    const Lanes unit = or_zero(turned, all(1) / where(turned, quat_length, all(1)));
+    for (Lanes& component : quat) component = component * unit;
+    const Lanes w = quat[0], x = quat[1], y = quat[2], z = quat[3];
+    turn.column[0] = {1 - 2.0f * (y * y + z * z), 2.0f * (x * y + w * z), 2.0f * (x * z - w * y)};
+    turn.column[1] = {2.0f * (x * y - w * z), 1 - 2.0f * (x * x + z * z), 2.0f * (y * z + w * x)};
+    turn.column[2] = {2.0f * (x * z + w * y), 2.0f * (y * z - w * x), 1 - 2.0f * (x * x + y * y)};
+    for (int k = 0; k < 3; ++k) {
+      const Lanes log_scale = log_scales[k];
+      scale_clamped[k] = all(MAX_LOG_SCALE) < log_scale;
+      scale[k] = exp2(LOG2_E * max(min(log_scale, all(MAX_LOG_SCALE)), all(-60)));
+      oriented.column[k] = scale[k] * turn.column[k];
+    }
+  }
+};
+
+// Unit vector from the camera to a mean, and its length; zero where they coincide.
+struct Direction {
+  Vector unit;
+  Lanes inverse_length;
+
+  Direction(const Projection& p, const View& view) {
+    const float* position = view.camera + POSITION;
+    const Vector offset = p.mean + Vector{all(-position[0]), all(-position[1]), all(-position[2])};
+    const Lanes squared = dot(offset, offset);
+    const Mask apart = all(0) < squared;
+    inverse_length = or_zero(apart, all(1) / sqrt(where(apart, squared, all(1))));
+    unit = inverse_length * offset;
+  }
+};
+
+// Calls body(first, count) for sixteen Gaussians after the other of a part.
+template <class Body>
+void each_lanes(int part, int total, const Body& body) {
+  const int end = std::min((part + 1) * PART, total);
+  for (int first = part * PART; first < end; first += LANES) body(first, std::min(LANES, end - first));
+}
+
+inline int parts_of(int count) { return (count + PART - 1) / PART; }
+
+}  // namespace splatax

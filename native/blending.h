@@ -27,19 +27,14 @@ struct TileImage {
 
   // Blends a list into the tile whose corner is at (left, top).
   void blend(const Splat* splats, const Pair* pairs, int count, float left, float top) {
-    Chunk chunk;
-    uint64_t touching[BLOCKS];
-    uint32_t live = 0;
-    for (int b = 0; b < BLOCKS; ++b) live |= any(all(0) <= load(transmittance[b])) ? 1u << b : 0;
-    for (int begin = 0; begin < count && live; begin += CHUNK) {
-      chunk.gather<C>(splats, pairs + begin, std::min(CHUNK, count - begin));
-      chunk.find_blocks(left, top, touching);
+    uint32_t live = live_blocks(transmittance);
+    each_chunk<C>(splats, pairs, count, left, top, live, [&](const Chunk& chunk, const uint64_t* touching, int) {
       for (int b = 0; b < BLOCKS; ++b) {
         if ((live >> b & 1) && touching[b] && !blend_block(chunk, touching[b], b, left, top)) {
           live &= ~(1u << b);
         }
       }
-    }
+    });
   }
 
  private:

@@ -62,6 +62,27 @@ struct Chunk {
   }
 };
 
+// Which blocks have pixels that are not done, a bit each.
+inline uint32_t live_blocks(const float (*transmittance)[LANES]) {
+  uint32_t live = 0;
+  for (int b = 0; b < BLOCKS; ++b) live |= any(all(0) <= load(transmittance[b])) ? 1u << b : 0;
+  return live;
+}
+
+// Calls body(chunk, touching, first) for one chunk of a tile's list after the other, as long as a block
+// is live; `first` is the place of the chunk's first splat in the list.
+template <int C, class Body>
+SPLATAX_INLINE void each_chunk(const Splat* splats, const Pair* pairs, int count, float left, float top,
+                               const uint32_t& live, const Body& body) {
+  Chunk chunk;
+  uint64_t touching[BLOCKS];
+  for (int first = 0; first < count && live; first += CHUNK) {
+    chunk.gather<C>(splats, pairs + first, std::min(CHUNK, count - first));
+    chunk.find_blocks(left, top, touching);
+    body(chunk, touching, first);
+  }
+}
+
 // Centres of a block's pixels, from its corner.
 struct PixelCentres {
   Lanes x, y;

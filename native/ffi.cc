@@ -170,104 +170,70 @@ ffi::Error photometric_loss(ffi::ThreadPool threads, Floats image, Floats photo,
   return ffi::Error::Success();
 }
 
+// A binding with so many more arrays, all of them float32, as arguments or results.
+template <int N, class Binding>
+auto arrays(Binding binding) {
+  if constexpr (N == 1) {
+    return std::move(binding).template Arg<Floats>();
+  } else {
+    return arrays<N - 1>(std::move(binding).template Arg<Floats>());
+  }
+}
+template <int N, class Binding>
+auto results(Binding binding) {
+  if constexpr (N == 1) {
+    return std::move(binding).template Ret<Floats>();
+  } else {
+    return results<N - 1>(std::move(binding).template Ret<Floats>());
+  }
+}
+
+// Calls begin with this.
+auto call() { return ffi::Ffi::Bind().Ctx<ffi::ThreadPool>(); }
+
+template <class Binding>
+auto with_rasterizer_settings(Binding binding) {
+  return std::move(binding).template Attr<int64_t>("threads").template Attr<int64_t>("max_pairs");
+}
+template <class Binding>
+auto with_view(Binding binding) {
+  return std::move(binding)
+      .template Attr<int64_t>("threads")
+      .template Attr<int64_t>("width")
+      .template Attr<int64_t>("height")
+      .template Attr<float>("variance")
+      .template Attr<float>("floor");
+}
+
 }  // namespace
 }  // namespace splatax
 
 #pragma GCC visibility push(default)
 
-XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_rasterize, splatax::forward,
-                              xla::ffi::Ffi::Bind()
-                                  .Ctx<xla::ffi::ThreadPool>()
-                                  .Arg<splatax::Floats>()   // means2d [n 2]
-                                  .Arg<splatax::Floats>()   // sqrt_conics [n 3]
-                                  .Arg<splatax::Floats>()   // depths [n]
-                                  .Arg<splatax::Floats>()   // extents [n 2]
-                                  .Arg<splatax::Floats>()   // opacities [n]
-                                  .Arg<splatax::Floats>()   // channels [n c]
-                                  .Ret<splatax::Floats>()   // sums [h w c]
-                                  .Ret<splatax::Floats>()   // alpha [h w]
-                                  .Ret<splatax::Ticket>()   // for the gradient
-                                  .Attr<int64_t>("threads")
-                                  .Attr<int64_t>("max_pairs")
+using namespace splatax;
+
+// (means2d [n 2], sqrt_conics [n 3], depths [n], extents [n 2], opacities [n], channels [n c])
+// -> (sums [h w c], alpha [h w], ticket [])
+XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_rasterize, forward,
+                              with_rasterizer_settings(results<2>(arrays<6>(call())).Ret<Ticket>())
                                   .Attr<int64_t>("gradient_follows"));
 
-XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_rasterize_gradient, splatax::backward,
-                              xla::ffi::Ffi::Bind()
-                                  .Ctx<xla::ffi::ThreadPool>()
-                                  .Arg<splatax::Floats>()   // as above
-                                  .Arg<splatax::Floats>()
-                                  .Arg<splatax::Floats>()
-                                  .Arg<splatax::Floats>()
-                                  .Arg<splatax::Floats>()
-                                  .Arg<splatax::Floats>()
-                                  .Arg<splatax::Floats>()   // sums
-                                  .Arg<splatax::Floats>()   // alpha
-                                  .Arg<splatax::Ticket>()
-                                  .Arg<splatax::Floats>()   // d_sums
-                                  .Arg<splatax::Floats>()   // d_alpha
-                                  .Ret<splatax::Floats>()   // d_means2d
-                                  .Ret<splatax::Floats>()   // d_sqrt_conics
-                                  .Ret<splatax::Floats>()   // d_opacities
-                                  .Ret<splatax::Floats>()   // d_channels
-                                  .Attr<int64_t>("threads")
-                                  .Attr<int64_t>("max_pairs"));
+// (the same six, sums, alpha, ticket, d_sums, d_alpha) -> (d_means2d, d_sqrt_conics, d_opacities, d_channels)
+XLA_FFI_DEFINE_HANDLER_SYMBOL(
+    splatax_rasterize_gradient, backward,
+    with_rasterizer_settings(results<4>(arrays<2>(arrays<8>(call()).Arg<Ticket>()))));
 
-XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_project, splatax::project_forward,
-                              xla::ffi::Ffi::Bind()
-                                  .Ctx<xla::ffi::ThreadPool>()
-                                  .Arg<splatax::Floats>()   // means [n 3]
-                                  .Arg<splatax::Floats>()   // quats [n 4]
-                                  .Arg<splatax::Floats>()   // log_scales [n 3]
-                                  .Arg<splatax::Floats>()   // opacity_logits [n]
-                                  .Arg<splatax::Floats>()   // sh [n k 3]
-                                  .Arg<splatax::Floats>()   // camera, as CameraField
-                                  .Ret<splatax::Floats>()   // the fields of Splats
-                                  .Ret<splatax::Floats>()
-                                  .Ret<splatax::Floats>()
-                                  .Ret<splatax::Floats>()
-                                  .Ret<splatax::Floats>()
-                                  .Ret<splatax::Floats>()
-                                  .Attr<int64_t>("threads")
-                                  .Attr<int64_t>("width")
-                                  .Attr<int64_t>("height")
-                                  .Attr<float>("variance")
-                                  .Attr<float>("floor"));
+// (means [n 3], quats [n 4], log_scales [n 3], opacity_logits [n], sh [n k 3], camera as CameraField)
+// -> the six fields of Splats
+XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_project, project_forward, with_view(results<6>(arrays<6>(call()))));
 
-XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_project_gradient, splatax::project_backward,
-                              xla::ffi::Ffi::Bind()
-                                  .Ctx<xla::ffi::ThreadPool>()
-                                  .Arg<splatax::Floats>()   // as above
-                                  .Arg<splatax::Floats>()
-                                  .Arg<splatax::Floats>()
-                                  .Arg<splatax::Floats>()
-                                  .Arg<splatax::Floats>()
-                                  .Arg<splatax::Floats>()
-                                  .Arg<splatax::Floats>()   // extents
-                                  .Arg<splatax::Floats>()   // cotangents of the other fields of Splats
-                                  .Arg<splatax::Floats>()
-                                  .Arg<splatax::Floats>()
-                                  .Arg<splatax::Floats>()
-                                  .Arg<splatax::Floats>()
-                                  .Ret<splatax::Floats>()   // gradients of the first six arguments
-                                  .Ret<splatax::Floats>()
-                                  .Ret<splatax::Floats>()
-                                  .Ret<splatax::Floats>()
-                                  .Ret<splatax::Floats>()
-                                  .Ret<splatax::Floats>()
-                                  .Attr<int64_t>("threads")
-                                  .Attr<int64_t>("width")
-                                  .Attr<int64_t>("height")
-                                  .Attr<float>("variance")
-                                  .Attr<float>("floor"));
+// (the same six, extents, and the cotangents of means2d, sqrt_conics, depths, colors, opacities)
+// -> the gradients of the six
+XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_project_gradient, project_backward,
+                              with_view(results<6>(arrays<12>(call()))));
 
-XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_photometric, splatax::photometric_loss,
-                              xla::ffi::Ffi::Bind()
-                                  .Ctx<xla::ffi::ThreadPool>()
-                                  .Arg<splatax::Floats>()   // image [h w c]
-                                  .Arg<splatax::Floats>()   // photo [h w c]
-                                  .Ret<splatax::Floats>()   // loss []
-                                  .Ret<splatax::Floats>()   // dL / d image
-                                  .Attr<int64_t>("threads")
-                                  .Attr<float>("ssim_weight"));
+// (image [h w c], photo [h w c]) -> (loss [], its gradient in image)
+XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_photometric, photometric_loss,
+                              results<2>(arrays<2>(call())).Attr<int64_t>("threads").Attr<float>("ssim_weight"));
 
 #pragma GCC visibility pop

@@ -41,13 +41,8 @@ struct TileGradient {
   // For each pair: writes its shares, and sets its flag, if any pixel of the tile sees the splat.
   void accumulate(const Splat* splats, const Pair* pairs, int count, float left, float top,
                   float (*shares)[SHARES], uint8_t* flags) {
-    Chunk chunk;
-    uint64_t touching[BLOCKS];
-    uint32_t live = 0;
-    for (int b = 0; b < BLOCKS; ++b) live |= any(all(0) <= load(transmittance[b])) ? 1u << b : 0;
-    for (int begin = 0; begin < count && live; begin += CHUNK) {
-      chunk.gather<C>(splats, pairs + begin, std::min(CHUNK, count - begin));
-      chunk.find_blocks(left, top, touching);
+    uint32_t live = live_blocks(transmittance);
+    each_chunk<C>(splats, pairs, count, left, top, live, [&](const Chunk& chunk, const uint64_t* touching, int first) {
       uint16_t blocks[CHUNK] = {};
       for (int b = 0; b < BLOCKS; ++b) {
         if (!(live >> b & 1)) continue;
@@ -57,13 +52,13 @@ struct TileGradient {
       }
       for (int i = 0; i < chunk.size && live; ++i) {
         if (!(blocks[i] & live)) continue;
-        const Pair& pair = pairs[begin + i];
+        const Pair& pair = pairs[first + i];
         alignas(64) float sums[LANES];
         live = accumulate_splat(chunk, i, blocks[i] & live, live, left, top, sums);
         write_shares(sums, left + TILE / 2 - chunk.x[i], top + TILE / 2 - chunk.y[i], shares[pair.index]);
         flags[pair.index] = 1;
       }
-    }
+    });
   }
 
  private:

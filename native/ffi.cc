@@ -3,6 +3,7 @@
 #include <string>
 #include <vector>
 
+#include "limits.h"
 #include "photometric.h"
 #include "projection.h"
 #include "rasterize.h"
@@ -170,6 +171,23 @@ ffi::Error photometric_loss(ffi::ThreadPool threads, Floats image, Floats photo,
   return ffi::Error::Success();
 }
 
+ffi::Error slots(ffi::ThreadPool threads, Floats means2d, Floats sqrt_conics, Floats depths, Floats extents,
+                 Floats opacities, Floats channels, ffi::ResultBuffer<ffi::S32> counts, int64_t thread_limit,
+                 int64_t max_pairs, int64_t width, int64_t height) {
+  Workers workers(threads, thread_limit);
+  const Input input = input_of(means2d, sqrt_conics, depths, extents, opacities, channels, width, height);
+  Scratch scratch;
+  count_slots(input, reinterpret_cast<int32_t(*)[2]>(counts->typed_data()), workers, scratch, max_pairs);
+  return ffi::Error::Success();
+}
+
+ffi::Error work(ffi::ThreadPool threads, Result sums, int64_t, int64_t rounds) {
+  Workers workers(threads, static_cast<int64_t>(sums->element_count()));
+  std::fill_n(sums->typed_data(), sums->element_count(), 0.0f);
+  multiply_adds(rounds, sums->typed_data(), workers);
+  return ffi::Error::Success();
+}
+
 // A binding with so many more arrays, all of them float32, as arguments or results.
 template <int N, class Binding>
 auto arrays(Binding binding) {
@@ -235,5 +253,14 @@ XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_project_gradient, project_backward,
 // (image [h w c], photo [h w c]) -> (loss [], its gradient in image)
 XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_photometric, photometric_loss,
                               results<2>(arrays<2>(call())).Attr<int64_t>("threads").Attr<float>("ssim_weight"));
+
+// (the six of splatax_rasterize) -> counts [tiles 2]
+XLA_FFI_DEFINE_HANDLER_SYMBOL(
+    splatax_slots, slots,
+    with_rasterizer_settings(arrays<6>(call()).Ret<Ticket>()).Attr<int64_t>("width").Attr<int64_t>("height"));
+
+// () -> a number for each thread
+XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_multiply_adds, work,
+                              results<1>(call()).Attr<int64_t>("threads").Attr<int64_t>("rounds"));
 
 #pragma GCC visibility pop

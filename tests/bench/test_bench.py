@@ -5,7 +5,7 @@ import pytest
 
 import splatax as sx
 from scenes import random_gaussians
-from splatax.bench import timing
+from splatax.bench import limits, timing
 from splatax.bench.scenes import framed, procedural
 
 
@@ -40,3 +40,42 @@ def test_a_whole_scene_is_in_view():
     splats = sx.project(gaussians, scene.camera)
     assert float((splats.extents[:, 0] > 0).mean()) > 0.95
     assert np.all(np.asarray(splats.means2d).mean(axis=0) == pytest.approx((32, 24), abs=4))
+
+
+def test_a_scene_without_harmonics_is_timed_with_as_many_numbers_as_in_training():
+    gaussians = random_gaussians(n=50, degree=0)
+    scene = framed("cloud", gaussians, 1.0, (64, 48))
+    assert scene.gaussians.sh_degree == 3
+    assert np.array_equal(
+        sx.render(scene.gaussians, scene.camera).rgb, sx.render(gaussians, scene.camera).rgb
+    )
+
+
+def test_drawn_slots_are_those_of_the_blending_rule():
+    scene = procedural(300, (40, 30))
+    splats = sx.project(scene.gaussians, scene.camera)
+    counted = limits.slots(splats)
+    if counted is None:
+        pytest.skip("no native library here")
+    y, x = np.mgrid[:30, :40] + 0.5
+    transmittance, alive, drawn = np.ones((30, 40)), np.ones((30, 40), bool), 0
+    for i in np.argsort(np.asarray(splats.depths), kind="stable"):
+        if splats.extents[i, 0] <= 0:
+            continue
+        u, v, w = np.asarray(splats.sqrt_conics[i])
+        dx, dy = x - float(splats.means2d[i, 0]), y - float(splats.means2d[i, 1])
+        raw = float(splats.opacities[i]) * np.exp(-((u * dx + v * dy) ** 2 + (w * dy) ** 2) / 2)
+        seen, left = alive & (raw >= 1 / 255), transmittance * (1 - np.minimum(raw, 0.99))
+        alive &= ~(seen & (left < 1e-4))
+        drawn += int((seen & alive).sum())
+        transmittance = np.where(seen & alive, left, transmittance)
+    assert counted.drawn == pytest.approx(drawn, rel=1e-3)
+    assert counted.evaluated >= counted.drawn
+    assert limits.shortest("rasterize", counted, 33.0) == pytest.approx(counted.evaluated * 1e3)
+
+
+def test_the_measured_peak_is_one_that_a_processor_can_have():
+    flops = limits.peak_flops()
+    if flops is None:
+        pytest.skip("no native library here")
+    assert 1e9 < flops < 1e14

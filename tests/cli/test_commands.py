@@ -97,7 +97,8 @@ def test_bench_times_every_operation_of_every_backend(tmp_path, capsys):
     cli.main(f"bench --scenes 300 --sizes 40x30 --backends xla reference --rounds 2 --out {out}".split())
     (result,) = read_json(out / "bench.json")["results"]
     times = {(row["operation"], row["backend"]): row for row in result["operations"]}
-    names = {"project", "project F+B", "loss F+B", "Adam", "rasterize", "rasterize F+B", "training step"}
+    rasterizing = {"rasterize", "rasterize F+B"}
+    names = {"project", "project F+B", "loss F+B", "Adam", "render", "training step"} | rasterizing
     assert set(times) == {(name, backend) for name in names for backend in ("xla", "reference")}
     assert all(0 < row["minimum"] <= row["median"] for row in times.values())
     assert "300 procedural" in capsys.readouterr().out

@@ -13,6 +13,7 @@ from splatax import rasterizers
 from splatax.bench.scenes import Scene
 from splatax.losses import Photometric
 from splatax.projection import project
+from splatax.rendering import render
 from splatax.training import optimizer
 from splatax.training.feed import Batch
 from splatax.training.recipes import Recipe
@@ -24,7 +25,12 @@ BACKWARD = " F+B"  # forward and backward
 
 def operations(scene: Scene, backend: str) -> dict[str, Operation]:
     """Everything that a backend has a part in, and Adam."""
-    return {**projection(scene, backend), **rasterizer(scene, backend), **training(scene, backend)}
+    return {
+        **projection(scene, backend),
+        **rasterizer(scene, backend),
+        **viewing(scene, backend),
+        **training(scene, backend),
+    }
 
 
 def projection(scene: Scene, backend: str) -> dict[str, Operation]:
@@ -62,6 +68,12 @@ def rasterizer(scene: Scene, backend: str) -> dict[str, Operation]:
         return jax.value_and_grad(total)(splats)
 
     return {"rasterize": lambda: forward(splats), f"rasterize{BACKWARD}": lambda: gradient(splats)}
+
+
+def viewing(scene: Scene, backend: str) -> dict[str, Operation]:
+    """A frame as a viewer draws it."""
+    draw = jax.jit(partial(render, backend=backend))
+    return {"render": lambda: draw(scene.gaussians, scene.camera).rgb}
 
 
 def training(scene: Scene, backend: str) -> dict[str, Operation]:

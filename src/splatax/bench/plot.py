@@ -31,15 +31,18 @@ def plot(results: list[dict[str, Any]]) -> bytes:
                 for row in result["operations"]:
                     key = row["operation"], row["backend"], family
                     lines[key].append((result["visible"], row["median"]))
+        labelled = set()
         for (name, backend, family), points in lines.items():
+            label = f"{name}, {backend}"
             panel.loglog(
                 *np.array(sorted(points)).T,
                 STYLES[backends.index(backend) % len(STYLES)],
                 marker="x" if family else "o",
                 markersize=4,
                 color=f"C{names.index(name)}",
-                label=None if family else f"{name}, {backend}",
+                label=None if label in labelled else label,
             )
+            labelled.add(label)
         panel.set(title=f"{size[0]} x {size[1]}", xlabel="visible Gaussians", ylabel="milliseconds")
         panel.grid(alpha=0.3, which="both")
     panels[-1].legend(fontsize=7, loc="center left", bbox_to_anchor=(1, 0.5))

@@ -1,6 +1,6 @@
 """Scenes to time, each with a camera that has all of it in view."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -59,7 +59,8 @@ def procedural(count: int, size: tuple[int, int], seed: int = 0) -> Scene:
 
 
 def framed(name: str, gaussians: Gaussians, nearness: float, size: tuple[int, int]) -> Scene:
-    """A scene from a distance.
+    """A scene from a distance, with SH up to degree 3 at least: zero where the file has none, so that
+    a step is as much work as in training.
 
     Args:
         name: of the scene.
@@ -73,4 +74,6 @@ def framed(name: str, gaussians: Gaussians, nearness: float, size: tuple[int, in
     distance = radius / np.sin(np.arctan(min(size) / 2 / focal)) / nearness
     position = centre - distance * np.array(VIEW) / np.linalg.norm(VIEW)
     pose = look_at(*(jnp.asarray(v, jnp.float32) for v in (position, centre, (0, -1, 0))))
+    missing = max(harmonics.count(3) - gaussians.sh.shape[1], 0)
+    gaussians = replace(gaussians, sh=jnp.pad(gaussians.sh, [(0, 0), (0, missing), (0, 0)]))
     return Scene(name, gaussians, Camera.simple_pinhole(focal, pose, *size))

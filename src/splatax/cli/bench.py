@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 import splatax as sx
+from splatax.bench import limits
 from splatax.bench.operations import Operation, operations
 from splatax.bench.plot import plot
 from splatax.bench.scenes import Scene, framed, procedural
@@ -31,7 +32,8 @@ class Bench:
     """Time projection, rasterizer, loss, Adam and the whole training step.
 
     All operations are timed in turn, round after round, in one process. Prints a table of medians
-    and minima, and writes bench.json and bench.png.
+    and minima, and writes bench.json and bench.png. "of limit" is the share of the arithmetic that
+    the rasterizer has to do in what the processor can do, measured first.
     """
 
     out: Path = Path("runs/bench")
@@ -54,28 +56,34 @@ class Bench:
         makers = [maker for name in self.scenes if (maker := scene_maker(name))]
         self.out.mkdir(parents=True, exist_ok=True)
         console = Console()
+        flops = limits.peak_flops()
+        if flops:
+            console.print(f"multiply-adds: {flops / 1e9:.0f} GFLOP/s at most")
         results = []
         for make in makers:
             for size in sizes:
-                results.append(measure(make(size), backends, self.rounds, console))
+                results.append(measure(make(size), backends, self.rounds, flops, console))
                 console.print(table(results[-1]))
-                write_json(self.out / "bench.json", self.contents(results))
+                write_json(self.out / "bench.json", self.contents(results, flops))
         write_whole(self.out / "bench.png", plot(results))
         print(f"timings {self.out / 'bench.json'}\nplot    {self.out / 'bench.png'}")
 
-    def contents(self, results: list[dict[str, Any]]) -> dict[str, Any]:
+    def contents(self, results: list[dict[str, Any]], flops: float | None) -> dict[str, Any]:
         """Of bench.json."""
         return {
             "date": datetime.now(UTC).isoformat(timespec="seconds"),
             "device": device(),
+            "peak_flops": flops,
             "versions": versions(),
             "protocol": f"{self.rounds} rounds over all operations in turn, milliseconds of wall time",
             "results": results,
         }
 
 
-def measure(scene: Scene, backends: list[str], rounds: int, console: Console) -> dict[str, Any]:
-    """Times one scene at one size."""
+def measure(
+    scene: Scene, backends: list[str], rounds: int, flops: float | None, console: Console
+) -> dict[str, Any]:
+    """Times one scene at one size, and sets it against what the machine could do."""
     by_key: dict[str, Operation] = {}
     for backend in backends:
         by_key |= {f"{name}|{backend}": operation for name, operation in operations(scene, backend).items()}
@@ -83,19 +91,34 @@ def measure(scene: Scene, backends: list[str], rounds: int, console: Console) ->
     with console.status(f"{scene.name}: compiling") as status:
         for done, timings in enumerate(interleaved(by_key, rounds), start=1):
             status.update(f"{scene.name}: round {done} of {rounds}")
-    visible = int((sx.project(scene.gaussians, scene.camera).extents[:, 0] > 0).sum())
+    splats = sx.project(scene.gaussians, scene.camera)
+    counted = limits.slots(splats)
+
+    def share(operation: str, milliseconds: float) -> float | None:
+        shortest = limits.shortest(operation, counted, flops) if counted and flops else None
+        return shortest / milliseconds if shortest else None
+
+    rows = []
+    for key, timing in timings.items():
+        name, backend = key.split("|")
+        rows.append(
+            {
+                "operation": name,
+                "backend": backend,
+                **asdict(timing),
+                "share_of_limit": share(name, timing.median),
+            }
+        )
     return {
         "scene": scene.name,
         "procedural": scene.procedural,
         "gaussians": len(scene.gaussians),
         "sh_degree": scene.gaussians.sh_degree,
-        "visible": visible,
+        "visible": int((splats.extents[:, 0] > 0).sum()),
+        "slots": asdict(counted) if counted else None,
         "width": scene.camera.width,
         "height": scene.camera.height,
-        "operations": [
-            {"operation": key.split("|")[0], "backend": key.split("|")[1], **asdict(timing)}
-            for key, timing in timings.items()
-        ],
+        "operations": rows,
         "peak_rss_bytes": peak_memory(),
     }
 
@@ -111,7 +134,7 @@ def table(result: dict[str, Any]) -> Table:
     drawn = Table(title=title, title_justify="left")
     for heading in ("operation", "backend"):
         drawn.add_column(heading)
-    for heading in ("median, ms", "minimum, ms", "first call, ms", "times the fastest"):
+    for heading in ("median, ms", "minimum, ms", "first, ms", "ratio", "of limit"):
         drawn.add_column(heading, justify="right")
     fastest: dict[str, float] = {}
     for row in result["operations"]:
@@ -119,7 +142,8 @@ def table(result: dict[str, Any]) -> Table:
     for row in sorted(result["operations"], key=lambda row: list(fastest).index(row["operation"])):
         times = [f"{row[key]:.1f}" for key in ("median", "minimum", "first")]
         ratio = row["median"] / fastest[row["operation"]]
-        drawn.add_row(row["operation"], row["backend"], *times, f"{ratio:.2f}")
+        limit = f"{row['share_of_limit']:.0%}" if row["share_of_limit"] else ""
+        drawn.add_row(row["operation"], row["backend"], *times, f"{ratio:.2f}", limit)
     return drawn
 
 

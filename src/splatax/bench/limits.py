@@ -1,0 +1,72 @@
+"""The counted limit: how fast the rasterizer could be, if it did nothing but its arithmetic.
+
+A slot is a pixel at which a splat is evaluated. The image takes 33 operations a slot: exponent 10,
+exp2 13, alpha, transmittance and weight 4, three channels 6. The gradient takes 62: the same again
+without channels, and 35 of its own. Counted in native/chunk.h, blending.h and gradient.h, a fused
+multiply-add as two, comparisons as none.
+"""
+
+import os
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from splatax import native
+from splatax.bench.timing import timed
+from splatax.native import Build
+from splatax.rasterizers.cpu import MAX_PAIRS
+from splatax.splats import Splats
+
+TILE = 16  # pixels a side; of native/splats.h
+FLOPS = {"rasterize": 33, "rasterize F+B": 33 + 62}  # a slot
+CHAINS, LANES = 12, 16  # of native/limits.h and lanes.h
+ROUNDS, TRIES = 2_000_000, 5  # of the measurement: about 0.1 s each
+
+
+@dataclass(frozen=True)
+class Slots:
+    """Of one image: how many the native rasterizer evaluates, and in how many it draws."""
+
+    evaluated: int
+    drawn: int
+
+
+def slots(splats: Splats) -> Slots | None:
+    """Counts them; None without the native library."""
+    if native.why_unavailable(None):
+        return None
+    tiles = -(-splats.width // TILE) * -(-splats.height // TILE)
+    fields = (splats.means2d, splats.sqrt_conics, splats.depths, splats.extents, splats.opacities)
+    (counts,) = Build(native.best_instructions()).call(
+        "splatax_slots",
+        [jax.ShapeDtypeStruct((tiles, 2), jnp.int32)],
+        [*fields, splats.colors],
+        max_pairs=np.int64(MAX_PAIRS),
+        width=np.int64(splats.width),
+        height=np.int64(splats.height),
+    )
+    evaluated, drawn = np.asarray(counts, np.int64).sum(axis=0).tolist()
+    return Slots(evaluated, drawn)
+
+
+def peak_flops() -> float | None:
+    """Multiplications and additions a second that all threads reach together, in chains of fused
+    multiply-adds that touch no memory: the best of a few tries. None without the native library."""
+    if native.why_unavailable(None):
+        return None
+    build = Build(native.best_instructions())
+
+    def work() -> jax.Array:
+        (sums,) = build.call("splatax_multiply_adds", [(os.cpu_count() or 1,)], [], rounds=np.int64(ROUNDS))
+        return sums
+
+    threads = np.count_nonzero(work())
+    milliseconds = min(timed(work) for _ in range(TRIES))
+    return 2 * threads * ROUNDS * CHAINS * LANES / milliseconds * 1e3
+
+
+def shortest(operation: str, counted: Slots, flops: float) -> float | None:
+    """Milliseconds that the arithmetic of an operation takes at the peak; None if it is not counted."""
+    return FLOPS[operation] * counted.evaluated / flops * 1e3 if operation in FLOPS else None

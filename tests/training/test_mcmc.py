@@ -210,7 +210,8 @@ def test_gradient_of_sparsity_is_that_of_finite_differences(x64):
                 for s in (step, -step)
             ]
             assert_allclose(getattr(gradient, name)[index], (sides[0] - sides[1]) / (2 * step), rtol=1e-6)
-    assert not np.any(gradient.means) and not np.any(gradient.sh)
+    assert not np.any(gradient.means)
+    assert not np.any(gradient.sh)
 
 
 def test_no_gradient_of_a_prior_reaches_empty_slots():

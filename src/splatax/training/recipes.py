@@ -1,8 +1,10 @@
 """A recipe: everything that decides how a scene is trained, as one value."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from splatax.dataset import Dataset
 from splatax.losses import Photometric
 from splatax.projection import Dilation, LowPass
 from splatax.training.backgrounds import Background, Random, Solid
@@ -68,6 +70,20 @@ def default(steps: int = 30_000, max_gaussians: int = 1_000_000) -> Recipe:
         sh_every=max(steps // 20, 1),
         background=Random(),
     )
+
+
+PIXELS_PER_GAUSSIAN = 8  # of one photo
+MOST = 1_000_000
+
+
+def room_for(dataset: Dataset) -> int:
+    """How many Gaussians a capture has detail for, at most a million.
+
+    What one photo shows takes one for some pixels of it. More photos show more, but in large part the
+    same again: detail is taken to grow with the square root of their number.
+    """
+    pixels = sum(view.camera.width * view.camera.height for view in dataset.train)
+    return min(round(pixels / math.sqrt(len(dataset.train)) / PIXELS_PER_GAUSSIAN), MOST)
 
 
 RECIPES: dict[str, Callable[..., Recipe]] = {"classic": classic, "mcmc": mcmc, "default": default}

@@ -11,7 +11,8 @@ from test_training import capture, run
 import splatax as sx
 from scenes import camera_at
 from splatax.demo.capture import write_capture
-from splatax.training.recipes import RECIPES, room_for
+from splatax.training.optimizer import LearningRates
+from splatax.training.recipes import RECIPES, rates_for, room_for
 
 
 @pytest.mark.parametrize("name", RECIPES)
@@ -53,6 +54,14 @@ def test_training_grows_to_the_most_learns_and_repeats_bit_for_bit(name):
         assert_array_equal(a, b)
 
 
+def test_rates_are_raised_for_short_runs_and_never_fall_below_the_authors():
+    authors = LearningRates()
+    assert_allclose(rates_for(2000).means, 8 * authors.means)
+    assert_allclose(rates_for(8000).log_scales, 1.5 * authors.log_scales)
+    assert rates_for(10**7) == authors
+    assert rates_for(1) == rates_for(500)
+
+
 def test_room_grows_with_pixels_and_with_the_root_of_the_number_of_photos():
     def photos(count, size):
         view = sx.View("a", camera_at(size=size), lambda: None)
@@ -67,8 +76,8 @@ def test_room_grows_with_pixels_and_with_the_root_of_the_number_of_photos():
 def test_default_beats_classic_at_equal_steps(tmp_path):
     write_capture(tmp_path)
     dataset = sx.load_dataset(tmp_path)
-    classic = sx.fit(dataset, RECIPES["classic"](steps=1000))
-    default = sx.fit(dataset, RECIPES["default"](steps=1000, max_gaussians=len(classic)))
+    classic = sx.fit(dataset, RECIPES["classic"](steps=2000))
+    default = sx.fit(dataset, RECIPES["default"](steps=2000, max_gaussians=len(classic)))
     assert len(default) <= len(classic)
     scores = [sx.evaluate(gaussians, dataset.test).psnr for gaussians in (default, classic)]
     assert scores[0] > scores[1] + 0.5

@@ -101,9 +101,7 @@ class Train:
             start = InFrusta(opacity=start.opacity, scale=start.scale)
         return replace(
             recipe,
-            initialization=start
-            if self.init == "sfm"
-            else InFrusta(opacity=start.opacity, scale=start.scale),
+            initialization=start,
             background=BACKGROUNDS[self.background] if self.background else recipe.background,
             low_pass=LOW_PASSES[self.low_pass],
             backend=resolve_backend(self.backend),

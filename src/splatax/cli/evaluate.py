@@ -50,7 +50,7 @@ class Evaluate:
     def run(self) -> None:
         model = read_model(self.model, self.low_pass)
         dataset = load_scene(self.scene, self.downscale, model)
-        background = BACKGROUNDS[self.background or model.options.get("background", "black")].rgb
+        background = BACKGROUNDS[self.background or model.options.get("background") or "black"].rgb
         scores = sx.evaluate(
             model.gaussians,
             views_of(dataset, self.split, self.scene),

@@ -20,8 +20,8 @@ from splatax.cli.session import claim, train
 from splatax.errors import InputError
 from splatax.projection import LOW_PASSES
 from splatax.training.backgrounds import BACKGROUNDS
-from splatax.training.initialize import FromPoints, InFrusta
-from splatax.training.recipes import RECIPES
+from splatax.training.initialize import InFrusta
+from splatax.training.recipes import RECIPES, room_for
 
 RecipeName = Literal[*RECIPES]  # type: ignore[valid-type]
 
@@ -42,14 +42,17 @@ class Train:
     """How many photos to learn from, one after the other."""
     downscale: Downscale = "auto"
     """Divide the size of photos by this. "auto": the least that brings them to 1600 pixels."""
-    recipe: RecipeName = "classic"
-    """How to train. "classic": Kerbl et al. 2023."""
-    max_gaussians: int = 5_000_000
-    """The most Gaussians that the scene may grow to."""
+    recipe: RecipeName = "default"
+    """How to train. "default": the best known; "classic": Kerbl et al. 2023; "mcmc": Kheradmand et al.
+    2024."""
+    max_gaussians: Literal["auto"] | int = "auto"
+    """The most Gaussians that the scene may grow to; all recipes but "classic" do grow to it. "auto": as
+    many as the photos have detail for; with "classic" 5,000,000, which it rarely reaches."""
     init: Literal["sfm", "random"] = "sfm"
     """Start from the capture's points, or at random where the cameras look."""
-    background: BackgroundName = "black"
-    """Behind the scene, and behind photos with alpha. "random" changes each step, against haze."""
+    background: BackgroundName | None = None
+    """Behind the scene, and behind photos with alpha. "random" changes each step, against haze, and is
+    black in evaluations. Without it: the recipe's, random for "default", else black."""
     low_pass: LowPassName = "dilation"
     """What keeps thin Gaussians visible. "antialiasing" also keeps their brightness from afar."""
     backend: BackendName = "auto"
@@ -62,8 +65,9 @@ class Train:
     """Replace the results of an earlier run in the same folder."""
 
     def run(self) -> None:
-        recipe = self.to_recipe()
+        self.refuse_what_is_out_of_range()
         dataset = load_scene(self.scene, self.downscale)
+        recipe = self.to_recipe(dataset)
         for note in dataset.notes:
             print(note)
         if self.init == "sfm" and not len(dataset.points):
@@ -76,19 +80,29 @@ class Train:
         run = Run(self.scene.resolve().name, dataset, recipe, history, gaussians, asdict(self), out)
         conclude(run)
 
-    def to_recipe(self) -> sx.Recipe:
-        """The recipe that the options describe.
+    def refuse_what_is_out_of_range(self) -> None:
+        """Raises InputError if a number makes no sense."""
+        for option, number in (("--steps", self.steps), ("--max-gaussians", self.max_gaussians)):
+            if number != "auto" and number < 1:
+                raise InputError(f"{option}: at least 1, not {number}.")
+
+    def to_recipe(self, dataset: sx.Dataset) -> sx.Recipe:
+        """The recipe that the options describe, for a capture.
 
         Raises:
-            InputError: if an option is out of range, or the backend cannot run here.
+            InputError: if the backend cannot run here.
         """
-        for option in ("steps", "max_gaussians"):
-            if getattr(self, option) < 1:
-                raise InputError(f"--{option.replace('_', '-')}: at least 1, not {getattr(self, option)}.")
+        most = {"max_gaussians": self.max_gaussians}
+        if self.max_gaussians == "auto":
+            most = {} if self.recipe == "classic" else {"max_gaussians": room_for(dataset)}
+        recipe = RECIPES[self.recipe](steps=self.steps, **most)
+        start = recipe.initialization
+        if self.init == "random":
+            start = InFrusta(opacity=start.opacity, scale=start.scale)
         return replace(
-            RECIPES[self.recipe](steps=self.steps, max_gaussians=self.max_gaussians),
-            initialization=FromPoints() if self.init == "sfm" else InFrusta(),
-            background=BACKGROUNDS[self.background],
+            recipe,
+            initialization=start,
+            background=BACKGROUNDS[self.background] if self.background else recipe.background,
             low_pass=LOW_PASSES[self.low_pass],
             backend=resolve_backend(self.backend),
             seed=self.seed,

@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import optax
+from jax import lax
 from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt8
 
 from splatax import rasterizers
@@ -66,6 +67,7 @@ def train_step(state: TrainState, batch: Batch, recipe: Recipe) -> tuple[TrainSt
     progress = state.step.astype(jnp.float32) / recipe.steps
     rates = recipe.learning_rates.at(progress, state.extent, gradients.sh.shape[1])
     gaussians, opt_state = optimizer.update(state.gaussians, gradients, state.opt_state, rates)
+    gaussians = lax.optimization_barrier(gaussians)
     gaussians = recipe.noise(gaussians, rates.means[0, 0], state.extent, noise_key)
     return replace(
         state,

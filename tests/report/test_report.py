@@ -64,9 +64,9 @@ def test_smoothing_keeps_a_line_a_line():
 @pytest.fixture
 def page():
     history = History(losses=[0.5, 0.4, 0.3], counts=[10, 10, 12], train_seconds=1.5)
-    history.evaluations.append(Evaluation(3, 1.5, Scores((ViewScore("a", 20.0, 0.5),))))
+    history.evaluations.append(Evaluation(3, 1.5, Scores((ViewScore("a", 20.0, 0.5, 21.0),))))
     comparisons = [
-        Comparison(ViewScore(name, psnr, 0.9), GRAY, GRAY)
+        Comparison(ViewScore(name, psnr, 0.9, psnr + 1), GRAY, GRAY)
         for name, psnr in (("good.png", 30.0), ("worst.png", 10.0), ("fair.png", 20.0))
     ]
     return report("A & <b>", {"Gaussians": "12"}, ["9 photos"], history, comparisons, b"GIF89a")

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import jinja2
 
+from splatax.dataset import Mask
 from splatax.evaluation import ViewScore
 from splatax.report.curves import training_curves
 from splatax.report.history import History
@@ -13,11 +14,12 @@ from splatax.report.pictures import Picture, data_uri, encoded, error_map
 
 @dataclass(frozen=True)
 class Comparison:
-    """A test view: its photo, and what the scene shows from there."""
+    """A test view: its photo, and what the scene shows from there; which pixels count (None: all)."""
 
     score: ViewScore
     photo: Picture
     image: Picture
+    mask: Mask | None = None
 
 
 def report(
@@ -42,9 +44,10 @@ def report(
     views = [
         {
             "score": comparison.score,
+            "mask": comparison.mask is not None,
             "photo": data_uri(comparison.photo),
             "image": data_uri(comparison.image),
-            "error": data_uri(error_map(comparison.image, comparison.photo)),
+            "error": data_uri(error_map(comparison.image, comparison.photo, comparison.mask)),
         }
         for comparison in worst_first
     ]

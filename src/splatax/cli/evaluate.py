@@ -73,7 +73,9 @@ class Evaluate:
         how = protocol(background) | ({"lpips": perceptual.protocol} if perceptual else {})
         console = Console()
         console.print(table_of(scores))
-        console.print(f"worst   {scores.worst.name}, {scores.worst.psnr:.3f} dB", highlight=False)
+        console.print(
+            f"worst   {scores.worst.name}, {scores.worst.psnr:.3f} dB", markup=False, highlight=False
+        )
         for name in ("psnr", "corrected_psnr", "ssim", "lpips"):
             if name in how:
                 console.print(f"{LABELS[name]}: {how[name]}", style="dim", highlight=False)

@@ -75,7 +75,8 @@ class Run:
             "final_loss": float(self.history.losses[-1]),
             "peak_rss_bytes": peak_memory(),
             "evaluations": [
-                {"step": e.step, "seconds": e.seconds} | measures_of(e.scores) for e in self.history.evaluations
+                {"step": e.step, "seconds": e.seconds} | measures_of(e.scores)
+                for e in self.history.evaluations
             ],
             "protocol": protocol(self.recipe.background.rgb)
             | {"train_seconds": "wall time of all steps, compilation included, evaluation and pictures not"},

@@ -62,9 +62,10 @@ class Evaluate:
         model = read_model(self.model, self.low_pass)
         dataset = load_scene(self.scene, self.downscale, model)
         background = BACKGROUNDS[self.background or model.options.get("background", "black")].rgb
+        views = views_of(dataset, self.split, self.scene)
         scores = sx.evaluate(
             model.gaussians,
-            views_of(dataset, self.split, self.scene),
+            views,
             background=background,
             low_pass=model.low_pass,
             backend=resolve_backend(self.backend),
@@ -76,9 +77,9 @@ class Evaluate:
         console.print(
             f"worst   {scores.worst.name}, {scores.worst.psnr:.3f} dB", markup=False, highlight=False
         )
-        for name in ("psnr", "corrected_psnr", "ssim", "lpips"):
-            if name in how:
-                console.print(f"{LABELS[name]}: {how[name]}", style="dim", highlight=False)
+        masked = sum(view.mask is not None for view in views)
+        for name in [*measures_of(scores), *(["masks"] if masked else [])]:
+            console.print(f"{LABELS.get(name, name)}: {how[name]}", style="dim", highlight=False)
         out = self.out or model.path.parent / "eval.json"
         contents = {"model": model.path, "scene": self.scene, "split": self.split, "protocol": how}
         write_json(out, contents | scores_as_json(scores))

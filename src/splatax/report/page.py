@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import jinja2
 
@@ -51,10 +52,8 @@ def report(
         }
         for comparison in worst_first
     ]
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("splatax.report", "."), autoescape=True, undefined=jinja2.StrictUndefined
-    )
-    return environment.get_template("page.html").render(
+    return fill(
+        "page.html",
         title=title,
         summary=summary,
         notes=notes,
@@ -62,3 +61,11 @@ def report(
         animation=encoded(animation, "image/gif") if animation else "",
         views=views,
     )
+
+
+def fill(template: str, **values: Any) -> str:
+    """A page of this package, with all that is not said to be safe escaped."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("splatax.report", "."), autoescape=True, undefined=jinja2.StrictUndefined
+    )
+    return environment.get_template(template).render(values)

@@ -81,6 +81,20 @@ def test_worst_views_come_first(page):
     assert re.findall(r"<b>(\w+).png</b>", page) == ["worst", "fair", "good"]
 
 
+def test_the_worst_view_is_marked_and_colour_corrected_psnr_shown(page):
+    assert page.count("<mark>worst</mark>") == 1
+    assert page.index("worst.png") < page.index("<mark>worst</mark>") < page.index("fair.png")
+    assert "colour-corrected 11.00 dB" in page
+
+
+def test_errors_outside_the_mask_are_not_shown():
+    mask = np.zeros((6, 8), bool)
+    mask[:, :4] = True
+    errors = error_map(GRAY + np.uint8(90), GRAY, mask)
+    assert_array_equal(errors[:, 4:], error_map(GRAY, GRAY)[:, 4:])
+    assert errors[:, :4].astype(int).sum(axis=2).min() > 600
+
+
 def test_text_is_escaped(page):
     assert "<h1>A &amp; &lt;b&gt;</h1>" in page
 

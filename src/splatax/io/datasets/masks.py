@@ -31,7 +31,7 @@ def masks_of(capture: Path, names: Iterable[str]) -> dict[str, Path]:
     present = sum(images.is_image(path) for path in folder.rglob("*"))
     if present and not masks:
         raise DatasetError(
-            f"{folder}: {present} files, but none has the name of a registered photo: NAME.png or "
+            f"{folder}: none of its {present} masks has the name of a registered photo: NAME.png or "
             "NAME.jpg.png for NAME.jpg. Rename them, or move the folder away to train without masks."
         )
     return masks

@@ -197,7 +197,8 @@ def shrink_factor(sources: list[Source], already: int, downscale: int | None) ->
 
 def undistortion(camera: pycolmap.Camera) -> tuple[pycolmap.Camera, Callable[[Pixels], Pixels]]:
     """A pinhole for the photos of a camera, and what brings its photos into that form."""
-    if camera.is_perspective_pinhole():
+    # pycolmap calls all that is no fisheye a "perspective pinhole", whatever its distortion.
+    if camera.is_perspective_pinhole() and camera.is_undistorted():
         return camera, lambda pixels: pixels
     options = pycolmap.UndistortCameraOptions()
 

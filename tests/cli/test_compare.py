@@ -62,6 +62,16 @@ def of_another_split(runs, tmp_path):
     return f"{runs[0]}: tested on photo08.png, which {runs[1]} is not"
 
 
+def of_another_protocol(runs, tmp_path):
+    change(runs[1] / "metrics.json", lambda metrics: metrics["protocol"].update(ssim="7x7 windows"))
+    return f"{runs[1]}: measured otherwise than {runs[0]}: ssim is '7x7 windows', there"
+
+
+def with_masks(runs, tmp_path):
+    change(runs[1] / "metrics.json", lambda metrics: metrics.update(masked_test_views=2))
+    return f"{runs[1]}: measured otherwise than {runs[0]}: number of masks is 2, there 0"
+
+
 def of_another_size(runs, tmp_path):
     change(runs[1] / "config.json", lambda config: config["options"].update(downscale=2))
     return f"{runs[1]}: measured on photos of 32 x 24 pixels, but {runs[0]} on 64 x 48"
@@ -98,6 +108,8 @@ def with_a_measure_missing(runs, tmp_path):
     [
         of_another_capture,
         of_another_split,
+        of_another_protocol,
+        with_masks,
         of_another_size,
         whose_capture_is_gone,
         without_test_photos,

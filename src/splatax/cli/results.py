@@ -68,6 +68,7 @@ class Run:
         """What was measured, and how."""
         return {
             "test": scores_as_json(test) if test else None,
+            "masked_test_views": sum(view.mask is not None for view in self.dataset.test),
             "train_seconds": self.history.train_seconds,
             "steps": self.history.steps,
             "interrupted": self.history.interrupted,

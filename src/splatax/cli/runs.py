@@ -10,7 +10,8 @@ from typing import Any
 from splatax.errors import InputError
 
 OPTIONS = {"scene", "recipe", "background"}
-METRICS = {"test", "gaussians", "train_seconds", "steps", "peak_rss_bytes", "evaluations"}
+METRICS = {"test", "gaussians", "train_seconds", "steps", "peak_rss_bytes", "evaluations", "protocol"}
+PROTOCOL = {"images", "psnr", "ssim", "corrected_psnr", "number of masks"}  # what makes numbers comparable
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,11 @@ class FinishedRun:
     def scene(self) -> Path:
         """The folder of its capture."""
         return Path(self.options["scene"])
+
+    @property
+    def protocol(self) -> dict[str, Any]:
+        """How it was measured."""
+        return self.metrics["protocol"] | {"number of masks": self.metrics.get("masked_test_views", 0)}
 
     @property
     def test_psnr(self) -> dict[str, float]:
@@ -88,7 +94,7 @@ def part_of(path: Path, needed: set[str], within: str | None = None) -> dict[str
 
 
 def check_comparable(runs: Sequence[FinishedRun], *, scene_given: bool) -> None:
-    """Checks that all runs are of one capture, and tested on the same photos.
+    """Checks that all runs are of one capture, and tested on the same photos in the same way.
 
     Args:
         runs: two or more.
@@ -112,3 +118,9 @@ def check_comparable(runs: Sequence[FinishedRun], *, scene_given: bool) -> None:
                 f"{tested.folder}: tested on {example}, which {untested.folder} is not. Compare runs with "
                 "the same split of the photos."
             )
+        for name in sorted(PROTOCOL & run.protocol.keys() & first.protocol.keys()):
+            if run.protocol[name] != first.protocol[name]:
+                raise InputError(
+                    f"{run.folder}: measured otherwise than {first.folder}: {name} is {run.protocol[name]!r}, "
+                    f"there {first.protocol[name]!r}. Train one of them again, as the other was."
+                )

@@ -121,6 +121,6 @@ def check_comparable(runs: Sequence[FinishedRun], *, scene_given: bool) -> None:
         for name in sorted(PROTOCOL & run.protocol.keys() & first.protocol.keys()):
             if run.protocol[name] != first.protocol[name]:
                 raise InputError(
-                    f"{run.folder}: measured otherwise than {first.folder}: {name} is {run.protocol[name]!r}, "
-                    f"there {first.protocol[name]!r}. Train one of them again, as the other was."
+                    f"{run.folder}: measured otherwise than {first.folder}: {name} is "
+                    f"{run.protocol[name]!r}, there {first.protocol[name]!r}. Train one of them again, as the other was."
                 )

@@ -122,5 +122,5 @@ def check_comparable(runs: Sequence[FinishedRun], *, scene_given: bool) -> None:
             if run.protocol[name] != first.protocol[name]:
                 raise InputError(
                     f"{run.folder}: measured otherwise than {first.folder}: {name} is "
-                    f"{run.protocol[name]!r}, there {first.protocol[name]!r}. Train one of them again, as the other was."
+                    f"{run.protocol[name]!r}, there {first.protocol[name]!r}. Train one of them again."
                 )

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import count, islice
 
 import jax
 import jax.numpy as jnp
@@ -22,15 +23,25 @@ class Batch:
     photo: UInt8[Array, "h w c"]
 
 
-def batches(views: Sequence[View], seed: int) -> Iterator[Batch]:
-    """All views in a new random order, again and again. Photos are decoded once and kept, 8-bit."""
-    rng = np.random.default_rng(seed)
+def batches(views: Sequence[View], seed: int, start: int = 0) -> Iterator[Batch]:
+    """All views in a new random order, again and again. Photos are decoded once and kept, 8-bit.
+
+    Args:
+        views: at least one.
+        seed: of the order.
+        start: how many batches to leave out; the rest are the same as without.
+    """
     decoded: dict[int, Pixels] = {}
-    while True:
-        for index in rng.permutation(len(views)).tolist():
-            if index not in decoded:
-                decoded[index] = checked(views[index])
-            yield Batch(views[index].camera, jnp.asarray(decoded[index]))
+    for index in islice(order(len(views), seed, start // len(views)), start % len(views), None):
+        if index not in decoded:
+            decoded[index] = checked(views[index])
+        yield Batch(views[index].camera, jnp.asarray(decoded[index]))
+
+
+def order(views: int, seed: int, epoch: int) -> Iterator[int]:
+    """Indices of views from an epoch on: each epoch's order depends on the seed and its number alone."""
+    for number in count(epoch):
+        yield from np.random.default_rng((seed, number)).permutation(views).tolist()
 
 
 def checked(view: View) -> Pixels:

@@ -14,6 +14,7 @@ from splatax.gaussians import Gaussians
 from splatax.training import optimizer
 from splatax.training.capacity import bucket_for, pad
 from splatax.training.feed import batches
+from splatax.training.initialize import require_visible
 from splatax.training.recipes import Recipe
 from splatax.training.step import TrainState, train_step
 
@@ -80,7 +81,7 @@ def optimize(dataset: Dataset, recipe: Recipe, start: RunState | None = None) ->
         start: a run of the same data set and recipe, to go on as if it had never stopped. It is used up.
 
     Raises:
-        DatasetError: if there are no training views, or nothing to start from.
+        DatasetError: if there are no training views, or nothing to start from that they see.
         ValueError: if the recipe has no steps, none are left, or its backend is not available.
     """
     if not dataset.train:
@@ -90,6 +91,7 @@ def optimize(dataset: Dataset, recipe: Recipe, start: RunState | None = None) ->
     recipe = replace(recipe, backend=rasterizers.resolve(recipe.backend))
     if start is None:
         gaussians = recipe.initialization(dataset, recipe.sh_degree, recipe.seed)
+        require_visible(gaussians, dataset)
         padded = pad(gaussians, bucket_for(len(gaussians)))
         start = RunState(first_state(padded, recipe, dataset.extent), len(gaussians))
     yield from _steps(dataset, recipe, start)

@@ -8,18 +8,12 @@ import numpy as np
 import pytest
 
 import splatax as sx
+from shortened import shortened
 from splatax.camera import Camera
 from splatax.errors import DatasetError
 from splatax.training.initialize import FromPoints, InFrusta
 from splatax.training.recipes import RECIPES
 from training.test_training import SIZE, capture
-
-
-def small(name):
-    """A recipe of the registry, shortened so that it refines and opens bands within a few steps."""
-    recipe = RECIPES[name](steps=30)
-    density = replace(recipe.density, every=5, start=4, until=28)
-    return replace(recipe, density=density, sh_degree=1, sh_every=10)
 
 
 def with_photo(dataset, pixels):
@@ -118,7 +112,7 @@ UNSEEN = [points_behind_the_cameras, cameras_at_the_only_point, scaled(1e-4)]
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.__name__)
 def test_training_stays_finite(fault, recipe):
     losses = []
-    for progress in sx.optimize(fault(capture()), small(recipe)):
+    for progress in sx.optimize(fault(capture()), shortened(recipe)):
         losses.append(float(progress.loss))
         if progress.step % 5 == 0:
             for leaf in jax.tree.leaves(progress.gaussians):
@@ -129,7 +123,7 @@ def test_training_stays_finite(fault, recipe):
 @pytest.mark.parametrize("fault", UNSEEN, ids=lambda fault: fault.__name__)
 @pytest.mark.parametrize("initialization", [FromPoints(), InFrusta(count=200)])
 def test_a_start_that_no_camera_sees_is_refused(fault, initialization):
-    recipe = replace(small("classic"), initialization=initialization)
+    recipe = replace(shortened("classic"), initialization=initialization)
     if isinstance(initialization, InFrusta) and not fault.__name__.startswith("scaled"):
         next(sx.optimize(fault(capture()), recipe))  # it needs no points
         return
@@ -141,6 +135,6 @@ def test_the_size_of_the_world_does_not_matter():
     """Powers of two scale all numbers exactly but those with an absolute size, of which there are few."""
     last = []
     for factor in (1, 1024):
-        *_, progress = sx.optimize(scaled(factor)(capture()), small("classic"))
+        *_, progress = sx.optimize(scaled(factor)(capture()), shortened("classic"))
         last.append((progress.count, float(progress.loss)))
     assert last[1] == pytest.approx(last[0], rel=1e-3)

@@ -32,7 +32,7 @@ class Checkpoints:
         run: Path,
         facts: Mapping[str, Any],
         *,
-        seconds: float = 0,
+        seconds: float = 0.0,
         steps: int = 0,
         earlier: Path | None = None,
     ):

@@ -64,7 +64,7 @@ class Train:
     """Of all randomness: the same seed gives the same scene on the same machine."""
     eval_every: int = 0
     """Steps between evaluations of the held-out photos. 0: at the end alone."""
-    checkpoint_every: float = 120
+    checkpoint_every: float = 120.0
     """Seconds between checkpoints, of which the last two are kept until the run ends. 0: only when
     it is interrupted."""
     checkpoint_steps: int = 0

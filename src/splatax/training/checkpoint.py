@@ -38,7 +38,7 @@ DAMAGES = (  # what reading a damaged file may raise
     EOFError,
     RuntimeError,
     OverflowError,
-    MemoryError,
+    OSError,
 )
 
 
@@ -93,7 +93,8 @@ def restore(checkpoint: Checkpoint, recipe: Recipe) -> RunState:
 
 def write(file: BinaryIO, checkpoint: Checkpoint) -> None:
     """Writes a checkpoint to a file that can seek."""
-    header = np.frombuffer(json.dumps(checkpoint.header).encode(), np.uint8)
+    contents = {**checkpoint.header, "arrays": list(checkpoint.arrays)}
+    header = np.frombuffer(json.dumps(contents).encode(), np.uint8)
     with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
         for name, array in {HEADER: header, **checkpoint.arrays}.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
@@ -107,14 +108,24 @@ def read(path: Path) -> Checkpoint:
         FormatError: if it is damaged.
         OSError: if there is none.
     """
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-        header = json.loads(arrays.pop(HEADER).tobytes())
-        if not {"step", "count"} <= set(header):
-            raise ValueError("an incomplete header")
-    except DAMAGES as error:
-        raise FormatError(f"{path}: damaged ({str(error).rstrip('.')}).") from error
+    with path.open("rb") as file:
+        try:
+            return _read(file)
+        except DAMAGES as error:
+            raise FormatError(f"{path}: damaged ({str(error).rstrip('.') or 'cut short'}).") from error
+
+
+def _read(file: BinaryIO) -> Checkpoint:
+    with zipfile.ZipFile(file) as archive:
+        damaged = archive.testzip()  # first: what reads an array trusts its bytes
+    if damaged:
+        raise zipfile.BadZipFile(damaged)
+    file.seek(0)
+    with np.load(file, allow_pickle=False) as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    header = json.loads(arrays.pop(HEADER).tobytes())
+    if header.pop("arrays") != list(arrays):
+        raise ValueError("arrays are missing")
     return Checkpoint(header, arrays)
 
 

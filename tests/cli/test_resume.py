@@ -339,7 +339,7 @@ def environment(tmp_path_factory):
     return {**os.environ, "XDG_CACHE_HOME": str(tmp_path_factory.mktemp("cache"))}
 
 
-LONG = ("--steps", 1200, "--checkpoint-steps", 10)
+LONG = ("--steps", 500, "--checkpoint-steps", 10)
 
 
 @pytest.fixture(scope="module")
@@ -359,7 +359,7 @@ def test_killed_at_twenty_random_instants(capture, environment, whole, tmp_path)
         arguments = ("--resume", run) if started else (capture, "--out", run, *LONG, "--overwrite")
         process = Process(environment, "train", *arguments)
         if process.read_until("step "):
-            time.sleep(moments.uniform(0, 0.4))
+            time.sleep(moments.uniform(0, 0.3))
         if process.kill() or (run / "scene.ply").exists():  # too late: the scene is written
             assert (run / "scene.ply").read_bytes() == whole
             shutil.rmtree(run)

@@ -1,6 +1,7 @@
 """The commands on a tiny capture: what they write, and that they agree with each other."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,10 @@ from PIL import Image
 
 import splatax as sx
 from splatax import cli, lpips, rasterizers
+from splatax.cli.train import Train
+from splatax.training.backgrounds import Solid
+from splatax.training.initialize import InFrusta
+from splatax.training.recipes import RECIPES, room_for
 
 SPLIT = ("photo00.png", "photo08.png")  # every 8th of nine
 
@@ -43,6 +48,19 @@ def test_config_holds_all_that_repeats_a_run(trained, capture):
     assert config["options"]["seed"] == 0
     assert config["recipe"]["backend"] == rasterizers.resolve("auto")
     assert set(config["versions"]) >= {"splatax", "jax", "jaxlib", "numpy", "python"}
+
+
+def test_options_decide_over_the_recipe_and_nothing_else_does(capture):
+    dataset = sx.load_dataset(capture)
+    plain = Train(capture).to_recipe(dataset)
+    assert plain == replace(RECIPES["default"](30_000, room_for(dataset)), backend=plain.backend)
+    chosen = Train(capture, recipe="mcmc", max_gaussians=70, init="random", background="white")
+    recipe = chosen.to_recipe(dataset)
+    assert recipe.density.max_gaussians == 70
+    assert recipe.initialization == InFrusta(opacity=0.5, scale=0.1)
+    assert recipe.background == Solid((1.0, 1.0, 1.0))
+    classic = Train(capture, recipe="classic").to_recipe(dataset)
+    assert classic == replace(RECIPES["classic"](), backend=plain.backend)
 
 
 def test_eval_of_the_run_repeats_its_scores(trained, capture, tmp_path, capsys):

@@ -123,7 +123,7 @@ def _steps(dataset: Dataset, recipe: Recipe, start: RunState) -> Iterator[Progre
     if done >= recipe.steps:
         raise ValueError(f"nothing left to do: {done} of {recipe.steps} steps are made")
     steps = range(done + 1, recipe.steps + 1)
-    for step, batch in zip(steps, batches(dataset.train, recipe.seed, done), strict=False):
+    for step, batch in zip(steps, batches(dataset.train, recipe.seed, done, recipe.resolution), strict=False):
         state, loss = train_step(state, batch, recipe)
         if recipe.density.due(step):
             refined = recipe.density.refine(

@@ -13,6 +13,7 @@ from splatax.training.initialize import FromPoints, InFrusta
 from splatax.training.noise import Langevin, Noise, Still
 from splatax.training.optimizer import LearningRates
 from splatax.training.priors import Indifferent, Prior, Sparsity
+from splatax.training.resolution import Resolution
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,7 @@ class Recipe:
     learning_rates: LearningRates = LearningRates()
     noise: Noise = Still()
     density: DensityStrategy = Classic()
+    resolution: Resolution = Resolution()
     sh_degree: int = 3  # 0 to 4
     sh_every: int = 1_000  # steps after which the next band of spherical harmonics is free
     background: Background = Solid()

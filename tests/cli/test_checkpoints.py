@@ -3,6 +3,7 @@
 import errno
 import os
 import threading
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -191,7 +192,8 @@ def test_leaving_waits_for_the_file_unless_the_user_stops_at_once(tmp_path, at, 
 
 
 def test_a_history_comes_back(tmp_path, at):
-    scores = Scores((ViewScore("a.png", float("inf"), 1.0), ViewScore("b.png", 20.123456789, 0.3)))
+    measures = [20.123456789 + i for i in range(len(fields(ViewScore)) - 1)]
+    scores = Scores((ViewScore("a.png", float("inf"), *measures[1:]), ViewScore("b.png", *measures)))
     pictures = np.arange(24, dtype=np.uint8).reshape(2, 4, 3)
     history = History(
         losses=[np.float32(0.1), np.float32(0.2)],

@@ -31,7 +31,9 @@ class Similarity:
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.translation).all() and 0 < self.scale < np.inf):
-            raise ValueError(f"scale {self.scale} and translation {self.translation}: must be finite, scale > 0")
+            raise ValueError(
+                f"scale {self.scale} and translation {self.translation}: must be finite, scale > 0"
+            )
         if not np.allclose(self.rotation @ self.rotation.T, np.eye(3), atol=1e-5):
             raise ValueError("not a rotation: its axes are not orthogonal and of length one")
         if np.linalg.det(self.rotation) < 0:
@@ -64,7 +66,7 @@ class Similarity:
         return Gaussians(
             means=jnp.asarray(self.scale * turned + self.translation, gaussians.means.dtype),
             quats=jax.vmap(quaternions.multiply, (None, 0))(turn, gaussians.quats),
-            log_scales=gaussians.log_scales + jnp.asarray(np.log(self.scale), gaussians.log_scales.dtype),
+            log_scales=jnp.asarray(np.asarray(gaussians.log_scales) + np.float32(np.log(self.scale))),
             opacity_logits=gaussians.opacity_logits,
             sh=jnp.asarray(sh, gaussians.sh.dtype),
         )
@@ -90,9 +92,6 @@ def half_turn(gaussians: Gaussians, axis: int) -> Gaussians:
     here, there = (
         np.asarray(harmonics.basis(jnp.asarray(d, jnp.float32), degree)) for d in (GENERIC, signs * GENERIC)
     )
-    return replace(
-        gaussians,
-        means=gaussians.means * signs,
-        quats=gaussians.quats * np.concatenate([np.ones(1, np.float32), signs]),
-        sh=gaussians.sh * np.sign(here * there).astype(np.float32)[:, None],
-    )
+    factors = {"means": signs, "quats": np.insert(signs, 0, 1), "sh": np.sign(here * there)[:, None]}
+    turned = {name: jnp.asarray(np.asarray(getattr(gaussians, name)) * f) for name, f in factors.items()}
+    return replace(gaussians, **turned)

@@ -13,19 +13,22 @@ A format is a module with `load(path)`, `save(path, gaussians, comments=)`, or b
 import warnings
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import jax
 import numpy as np
 
 from splatax.errors import FormatError
 from splatax.gaussians import Gaussians
-from splatax.io.formats import compressed_ply, glb, ksplat, ply, splat, spz
+from splatax.io.formats import compressed_ply, glb, ksplat, ply, sog, splat, spz
 
 FORMATS: dict[str, ModuleType] = {
     ".ply": ply,
     ".compressed.ply": compressed_ply,
     ".splat": splat,
     ".spz": spz,
+    ".sog": sog,
+    "meta.json": sog,  # of a SOG in a folder
     ".glb": glb,
     ".ksplat": ksplat,
 }
@@ -50,7 +53,7 @@ def comments(path: str | Path) -> tuple[str, ...]:
     return _readable(Path(path)).comments(Path(path))
 
 
-def save(path: str | Path, gaussians: Gaussians, *, comments: tuple[str, ...] = ()) -> None:
+def save(path: str | Path, gaussians: Gaussians, *, comments: tuple[str, ...] = (), **options: Any) -> None:
     """Writes a splat file, whole or not at all: a crash leaves the old file as it was.
 
     Empty slots are left out. So are Gaussians that are not finite, with a warning that counts them.
@@ -60,6 +63,7 @@ def save(path: str | Path, gaussians: Gaussians, *, comments: tuple[str, ...] = 
         gaussians: the scene.
         comments: lines to keep with it, where the format can; `MIP` is kept by all that have a
             place for it.
+        options: of the format itself, such as `version=4` of .spz.
 
     Raises:
         FormatError: if no format has this suffix, or it cannot hold the scene.
@@ -75,7 +79,7 @@ def save(path: str | Path, gaussians: Gaussians, *, comments: tuple[str, ...] = 
             f"{path}: this format holds SH up to degree {module.MAX_SH_DEGREE}, and the scene has degree "
             f"{gaussians.sh_degree}. Reduce it (--sh-degree {module.MAX_SH_DEGREE}), or choose .ply or .spz."
         )
-    module.save(path, _written(path, gaussians), comments=comments)
+    module.save(path, _written(path, gaussians), comments=comments, **options)
 
 
 def format_of(path: Path) -> ModuleType:

@@ -9,6 +9,7 @@ COLOR_0 is for viewers that know points alone.
 
 import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -47,10 +48,8 @@ def load(path: Path) -> Gaussians:
             for primitive, place in glb_scene.splats(path, gltf)
         ]
         most = max(part.sh.shape[1] for part in parts)
-        parts = [
-            Gaussians(*leaves, jnp.pad(sh, ((0, 0), (0, most - sh.shape[1]), (0, 0))))
-            for *leaves, sh in map(jax.tree.leaves, parts)
-        ]
+        padding = [((0, 0), (0, most - part.sh.shape[1]), (0, 0)) for part in parts]
+        parts = [replace(part, sh=jnp.pad(part.sh, p)) for part, p in zip(parts, padding, strict=True)]
         return half_turn(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts), axis=2)
 
 
@@ -65,9 +64,15 @@ def save(path: Path, gaussians: Gaussians, *, comments: tuple[str, ...] = ()) ->
     """Writes float32 attributes of one mesh."""
     gaussians = half_turn(gaussians, axis=2)
     attributes = _attributes(gaussians)
-    accessors, views, parts, offset = [], [], [], 0
+    accessors: list[dict[str, Any]] = []
+    views: list[dict[str, Any]] = []
+    parts, offset = [], 0
     for name, values in attributes.items():
-        accessor: dict[str, Any] = {"bufferView": len(views), "count": len(values), "type": KINDS[values.shape[1]]}
+        accessor: dict[str, Any] = {
+            "bufferView": len(views),
+            "count": len(values),
+            "type": KINDS[values.shape[1]],
+        }
         accessor["componentType"] = UNSIGNED_BYTE if values.dtype == np.uint8 else FLOAT
         if values.dtype == np.uint8:
             accessor["normalized"] = True

@@ -31,7 +31,7 @@ def chunks(path: Path) -> tuple[dict[str, Any], bytes]:
         raise FormatError(f"{path}: not a .glb file of glTF 2.0. Give a file that was saved as .glb.")
     if length > len(cursor.contents):
         raise FormatError(
-            f"{path}: truncated: {length - len(cursor.contents):,} of {length:,} bytes are missing. Copy it again."
+            f"{path}: truncated: {length - len(cursor.contents):,} of {length:,} bytes are missing."
         )
     found: dict[bytes, bytes] = {}
     while cursor.at + 8 <= length:
@@ -56,7 +56,9 @@ def splats(path: Path, gltf: dict[str, Any]) -> list[tuple[dict[str, Any], Simil
                 continue
             if own.get("extensions") or f"{EXTENSION}:SCALE" not in primitive["attributes"]:
                 names = ", ".join(own.get("extensions", {})) or "an unknown extension"
-                raise FormatError(f"{path}: its splats are compressed ({names}), which splatax does not read.")
+                raise FormatError(
+                    f"{path}: its splats are compressed ({names}), which splatax does not read."
+                )
             found.append((primitive, place))
     if not found:
         raise FormatError(f"{path}: no splats: none of its meshes has the extension {EXTENSION}.")
@@ -105,7 +107,11 @@ def _accessor(path: Path, gltf: dict[str, Any], buffer: bytes, accessor: dict[st
     view = gltf["bufferViews"][accessor["bufferView"]]
     if accessor.get("sparse") or view.get("buffer", 0) != 0 or "uri" in gltf["buffers"][0]:
         raise FormatError(f"{path}: keeps numbers outside the file or sparsely, which splatax does not read.")
-    dtype, width, count = np.dtype(TYPES[accessor["componentType"]]), WIDTHS[accessor["type"]], accessor["count"]
+    dtype, width, count = (
+        np.dtype(TYPES[accessor["componentType"]]),
+        WIDTHS[accessor["type"]],
+        accessor["count"],
+    )
     start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
     stride = view.get("byteStride", width * dtype.itemsize)
     if min(count, start, stride - width * dtype.itemsize) < 0:
@@ -113,7 +119,11 @@ def _accessor(path: Path, gltf: dict[str, Any], buffer: bytes, accessor: dict[st
     cursor = Cursor(path, buffer, start)
     if count:  # the last row need not be followed by the rest of its stride
         cursor.take("vertices", "u1", stride * (count - 1) + width * dtype.itemsize)
-    rows = np.ndarray((count, width), dtype, buffer, start, (stride, dtype.itemsize)) if count else np.zeros((0, width))
+    rows = (
+        np.ndarray((count, width), dtype, buffer, start, (stride, dtype.itemsize))
+        if count
+        else np.zeros((0, width))
+    )
     values = rows.astype(np.float32)
     if accessor.get("normalized"):
         values = np.maximum(values / np.iinfo(dtype).max, -1)

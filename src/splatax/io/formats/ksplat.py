@@ -51,9 +51,12 @@ class Section:
         """From its 1024 bytes."""
         words, shorts = header.view("<u4"), header.view("<u2")
         block = float(header.view("<f4")[4])
-        numbers = [int(words[i]) for i in (0, 1, 2, 3)]
         levels = int(words[6]) or POSITION_LEVELS
-        return cls(*numbers, block, int(shorts[10]), levels, int(words[8]), int(words[9]), int(shorts[20]))
+        count, capacity, bucket_size, buckets = (int(word) for word in words[:4])
+        full, partial, degree = int(words[8]), int(words[9]), int(shorts[20])
+        return cls(
+            count, capacity, bucket_size, buckets, block, int(shorts[10]), levels, full, partial, degree
+        )
 
 
 def load(path: Path) -> Gaussians:
@@ -66,13 +69,17 @@ def load(path: Path) -> Gaussians:
     header = cursor.take("header", "u1", HEADER)
     sections, level = int(header.view("<u4")[1]), int(header.view("<u2")[10])
     if header[0] != 0 or header[1] < 1 or level >= len(TYPES) or sections > MAX_SECTIONS:
-        raise FormatError(f"{path}: not a .ksplat file of version 0.1 or newer. Get the .ply that it was made from.")
+        raise FormatError(
+            f"{path}: not a .ksplat file of version 0.1 or newer. Get the .ply that it was made from."
+        )
     low, high = (float(v) for v in header.view("<f4")[9:11])
     sh_range = (low or SH_RANGE[0], high or SH_RANGE[1])
     headers = [Section.parse(cursor.take("section headers", "u1", SECTION)) for _ in range(sections)]
     for section in headers:
         if section.degree > MAX_DEGREE or section.count > section.capacity:
-            raise FormatError(f"{path}: damaged: a section of {section.count:,} Gaussians, degree {section.degree}.")
+            raise FormatError(
+                f"{path}: damaged: a section of {section.count:,} Gaussians, degree {section.degree}."
+            )
     degree = max((section.degree for section in headers if section.count), default=0)
     parts = [_section(cursor, section, level, sh_range, degree) for section in headers]
     total = int(header.view("<u4")[4])
@@ -90,14 +97,20 @@ def _section(cursor: Cursor, section: Section, level: int, sh_range: tuple[float
     position, shape, harmonic = TYPES[level]
     rest = harmonics.count(section.degree) - 1
     row = np.dtype(
-        [("mean", position, 3), ("scale", shape, 3), ("quat", shape, 4), ("rgba", "u1", 4), ("sh", harmonic, 3 * rest)]
+        [
+            ("mean", position, 3),
+            ("scale", shape, 3),
+            ("quat", shape, 4),
+            ("rgba", "u1", 4),
+            ("sh", harmonic, 3 * rest),
+        ]
     )
     sizes = cursor.take("bucket sizes", "<u4", section.partial)
     buckets = cursor.take("buckets", "u1", section.buckets, section.bucket_bytes)
     body = cursor.take("Gaussians", "u1", section.capacity, row.itemsize)
     rows = np.ascontiguousarray(body[: section.count]).view(row).reshape(section.count)
 
-    means = rows["mean"].astype(np.float32)
+    means: np.ndarray = rows["mean"].astype(np.float32)
     if level > 0 and section.count:
         if section.bucket_bytes < 12:
             raise FormatError(f"{cursor.path}: damaged: buckets of {section.bucket_bytes} bytes.")
@@ -107,7 +120,7 @@ def _section(cursor: Cursor, section: Section, level: int, sh_range: tuple[float
     with np.errstate(divide="ignore", invalid="ignore"):
         log_scales = np.log(rows["scale"].astype(np.float32))
     dc = harmonics.from_rgb(rows["rgba"][:, :3].astype(np.float32) / 255)[:, None]
-    higher = rows["sh"].astype(np.float32).reshape(section.count, 3 * rest)
+    higher: np.ndarray = rows["sh"].astype(np.float32).reshape(section.count, 3 * rest)
     if level == 2:
         higher = np.float32(sh_range[0]) + higher / 255 * np.float32(sh_range[1] - sh_range[0])
     sh = np.zeros((section.count, harmonics.count(degree), 3), np.float32)

@@ -41,7 +41,9 @@ def load(path: Path) -> Gaussians:
         )
     rows = np.frombuffer(contents, ROW)
     # Negated, so that NaN is caught too.
-    if not (np.isfinite(rows["mean"]).all() and (rows["scale"] >= 0).all() and (rows["scale"] < np.inf).all()):
+    if not (
+        np.isfinite(rows["mean"]).all() and (rows["scale"] >= 0).all() and (rows["scale"] < np.inf).all()
+    ):
         raise FormatError(f"{path}: not a .splat file: some positions or sizes are no numbers, or negative.")
     with np.errstate(divide="ignore"):
         log_scales = np.log(rows["scale"])

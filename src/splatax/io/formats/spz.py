@@ -21,7 +21,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import zstandard
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 
 from splatax.errors import FormatError
 from splatax.gaussians import Gaussians
@@ -48,7 +48,7 @@ LOSES = (
     "Positions are rounded to 24 bits, opacities, colours and scales to 8 bits, rotations to 10; higher SH "
     "to 5 bits (degree 1) and 4 bits, clipped to -1 to 1; log scales are clipped to -10 to 5.9."
 )
-TOLERANCE = Tolerance(means=1e-4, degrees=0.3, log_scales=0.032, opacities=3e-3, dc=0.014, sh=0.07)
+TOLERANCE = Tolerance(means=1.1e-4, degrees=0.28, log_scales=0.032, opacities=3e-3, dc=0.014, sh=0.07)
 
 
 @dataclass(frozen=True)
@@ -145,9 +145,7 @@ def _streams(path: Path, contents: bytes, header: Header) -> list[UInt8[np.ndarr
         if len(body) > limit - HEADER.size:
             raise FormatError(f"{path}: damaged: more data than its {header.count:,} Gaussians need.")
     cursor = Cursor(path, body)
-    return [
-        cursor.take("Gaussians", "u1", header.count, size // max(header.count, 1)) for size in sizes
-    ]
+    return [cursor.take("Gaussians", "u1", header.count, size // max(header.count, 1)) for size in sizes]
 
 
 def _zstandard_streams(path: Path, contents: bytes, header: Header, sizes: list[int]) -> list[bytes]:
@@ -155,7 +153,7 @@ def _zstandard_streams(path: Path, contents: bytes, header: Header, sizes: list[
     table = cursor.take("table of contents", "<u8", header.streams, 2).astype(object)
     if list(table[:, 1]) != sizes or header.contents < HEADER_4.size:
         raise FormatError(
-            f"{path}: damaged: its streams do not have the sizes of {header.count:,} Gaussians. Copy it again."
+            f"{path}: damaged: its streams do not fit {header.count:,} Gaussians. Copy it again."
         )
     streams = []
     for stored, size in table:
@@ -209,7 +207,9 @@ def _encode(path: Path, gaussians: Gaussians, fractional_bits: int) -> list[np.n
     bucket = np.where(np.arange(rest.shape[1]) < 3, *BUCKETS)[:, None]
     log_scales = np.asarray(gaussians.log_scales)
     if clipped := int(np.sum(log_scales.max(axis=1, initial=-np.inf) > 255 / 16 - 10)):
-        warnings.warn(f"{path}: {clipped:,} Gaussians are too large for SPZ and were made smaller", stacklevel=4)
+        warnings.warn(
+            f"{path}: {clipped:,} Gaussians are too large for SPZ and were made smaller", stacklevel=4
+        )
     return [
         fixed.view("u1").reshape(-1, 3, 4)[..., :3],
         packing.opacity_levels(np.asarray(gaussians.opacity_logits)),
@@ -228,7 +228,7 @@ def _fractional_bits(path: Path, gaussians: Gaussians) -> int:
     room = 23 - int(np.ceil(np.log2(max(farthest * (1 + 1e-6), 2.0**-7))))
     if room < 0:
         raise FormatError(
-            f"{path}: SPZ has no number for a position as far as {farthest:.3g}. Clean or scale the scene first."
+            f"{path}: SPZ has no number for a position as far as {farthest:.3g}. Clean the scene first."
         )
     typical = float(np.exp(np.median(np.asarray(gaussians.log_scales))))
     fine = int(np.ceil(np.log2(10 / max(typical, 1e-6))))  # a tenth of a Gaussian

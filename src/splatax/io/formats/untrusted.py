@@ -52,7 +52,7 @@ def check_expansion(path: Path, unpacked: int, stored: int) -> None:
     """
     if unpacked > max(ALWAYS_ALLOWED, MAX_EXPANSION * stored):
         raise FormatError(
-            f"{path}: damaged: {stored:,} bytes claim to hold {unpacked:,}. Get the file again from its source."
+            f"{path}: damaged: {stored:,} bytes claim to hold {unpacked:,}. Get the file again."
         )
 
 
@@ -79,7 +79,7 @@ def structured(path: Path, kind: str) -> Iterator[None]:
     """Where a file's own structure (JSON, zip, images) is followed, a wrong turn is a `FormatError`."""
     try:
         yield
-    except InputError:
+    except (InputError, MemoryError):
         raise
     except OSError as error:
         if error.errno is not None:  # of the file system: not the file's fault

@@ -18,8 +18,9 @@ from splatax.splats import MIN_ALPHA
 
 NEIGHBOURS = 16  # that tell how lonely a Gaussian is
 FLOATER_DEVIATIONS = 5.0  # of the logarithm of its distance to them, by the median deviation
+FLOATER_FACTOR = 4.0  # of the median distance, at least: corners of a dense scene are lonely by 2
 TO_SIGMA = 1.4826  # from a median absolute deviation to the standard deviation of a normal
-LEAST_WEIGHT = 0.5  # pixels, over all views, that a Gaussian must fill to count as seen
+LEAST_WEIGHT = 0.02  # pixels, over all views, that a Gaussian must fill to count as seen
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ def clean(
         gaussians: the scene.
         min_opacity: fainter ones go.
         deviations: a Gaussian floats if the logarithm of its distance to its 16 nearest exceeds
-            the median by so many (robust) standard deviations.
+            the median by so many (robust) standard deviations, and the distance is 4 times usual.
         weights: of `visible_weights`; without, all count as seen.
 
     Returns:
@@ -138,7 +139,7 @@ def _floaters(means: Float[np.ndarray, "n 3"], deviations: float) -> Bool[np.nda
     distances = np.log(np.maximum(mean_squared_distances(means, NEIGHBOURS), 1e-30)) / 2
     median = np.median(distances)
     spread = TO_SIGMA * np.median(np.abs(distances - median))
-    return distances > median + deviations * max(spread, 1e-6)
+    return distances > median + max(deviations * spread, np.log(FLOATER_FACTOR))
 
 
 def _keep(gaussians: Gaussians, mask: Bool[np.ndarray, " n"]) -> Gaussians:

@@ -133,11 +133,11 @@ def fingerprint(dataset: Dataset) -> dict[str, Any]:
     """What tells one capture from another, as JSON values: names and sizes of the photos, cameras and
     points. What is in the photos is not looked at."""
     views = dataset.train + dataset.test
-    sizes = [(view.name, view.camera.width, view.camera.height) for view in views]
+    sizes = [(view.name, view.camera.width, view.camera.height, view.mask is not None) for view in views]
     cameras = [np.asarray(leaf) for view in views for leaf in jax.tree.leaves(view.camera)]
     return {
         "photos": f"{len(dataset.train)} to train on and {len(dataset.test)} held out",
-        "names and sizes of photos": _digest(repr(sizes).encode()),
+        "names, sizes and masks of photos": _digest(repr(sizes).encode()),
         "cameras": _digest(*(array.tobytes() for array in cameras)),
         "points": f"{len(dataset.points)}, "
         + _digest(dataset.points.positions.tobytes(), dataset.points.colors.tobytes()),

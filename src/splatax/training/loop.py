@@ -1,6 +1,6 @@
 """Training as a generator: progress bars, evaluation and viewers are `for` loops over it."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import jax
@@ -38,11 +38,13 @@ class Progress:
 
     Attributes:
         step: how many have been made, from 1.
+        total: how many there will be, as planned now.
         loss: of the step's view; reading it waits for the step to end.
         count: of Gaussians.
     """
 
     step: int
+    total: int
     loss: Float[Array, ""]
     count: int
     _state: TrainState
@@ -72,13 +74,20 @@ def fit(dataset: Dataset, recipe: Recipe) -> Gaussians:
     return progress.gaussians
 
 
-def optimize(dataset: Dataset, recipe: Recipe, start: RunState | None = None) -> Iterator[Progress]:
+def optimize(
+    dataset: Dataset,
+    recipe: Recipe,
+    start: RunState | None = None,
+    pace: Callable[[int], int | None] | None = None,
+) -> Iterator[Progress]:
     """Trains a scene, and yields after each step. The same arguments give the same scene.
 
     Args:
         dataset: the capture.
         recipe: how.
         start: a run of the same data set and recipe, to go on as if it had never stopped. It is used up.
+        pace: asked after each step, once it has been yielded; may say how many steps the run shall have
+            from now on instead of the recipe's.
 
     Raises:
         DatasetError: if there are no training views, or nothing to start from that they see.
@@ -94,7 +103,7 @@ def optimize(dataset: Dataset, recipe: Recipe, start: RunState | None = None) ->
         require_visible(gaussians, dataset)
         padded = pad(gaussians, bucket_for(len(gaussians)))
         start = RunState(first_state(padded, recipe, dataset.extent), len(gaussians))
-    yield from _steps(dataset, recipe, start)
+    yield from _steps(dataset, recipe, start, pace or (lambda step: None))
 
 
 def first_state(gaussians: Gaussians, recipe: Recipe, extent: float) -> TrainState:
@@ -102,6 +111,7 @@ def first_state(gaussians: Gaussians, recipe: Recipe, extent: float) -> TrainSta
     key, _ = _keys(recipe)
     return TrainState(
         step=jnp.int32(0),
+        total=jnp.int32(recipe.steps),
         gaussians=gaussians,
         opt_state=optimizer.ADAM.init(gaussians),
         density_state=recipe.density.init(len(gaussians)),
@@ -116,14 +126,15 @@ def _keys(recipe: Recipe) -> tuple[PRNGKeyArray, PRNGKeyArray]:
     return key, refine_key
 
 
-def _steps(dataset: Dataset, recipe: Recipe, start: RunState) -> Iterator[Progress]:
+def _steps(
+    dataset: Dataset, recipe: Recipe, start: RunState, pace: Callable[[int], int | None]
+) -> Iterator[Progress]:
     state, count = start.train, start.count
     _, refine_key = _keys(recipe)
-    done = int(state.step)
-    if done >= recipe.steps:
-        raise ValueError(f"nothing left to do: {done} of {recipe.steps} steps are made")
-    steps = range(done + 1, recipe.steps + 1)
-    for step, batch in zip(steps, batches(dataset.train, recipe.seed, done, recipe.resolution), strict=False):
+    done, total = int(state.step), int(state.total)
+    if done >= total:
+        raise ValueError(f"nothing left to do: {done} of {total} steps are made")
+    for step, batch in enumerate(batches(dataset.train, recipe.seed, done, recipe.resolution), done + 1):
         state, loss = train_step(state, batch, recipe)
         if recipe.density.due(step):
             refined = recipe.density.refine(
@@ -141,4 +152,10 @@ def _steps(dataset: Dataset, recipe: Recipe, start: RunState) -> Iterator[Progre
                 opt_state=optimizer.inherit(state.opt_state, refined.lineage),
                 density_state=refined.state,
             )
-        yield Progress(step, loss, count, state)
+        yield Progress(step, total, loss, count, state)
+        planned = pace(step)
+        if planned is not None:
+            total = planned
+            state = replace(state, total=jnp.int32(total))
+        if step >= total:
+            return

@@ -26,6 +26,7 @@ class TrainState:
 
     Attributes:
         step: how many steps have been made.
+        total: how many the run shall have; schedules go by the share that is done.
         gaussians: the scene, the living first, then empty slots.
         opt_state: Adam's.
         density_state: of the density strategy.
@@ -34,6 +35,7 @@ class TrainState:
     """
 
     step: Int[Array, ""]
+    total: Int[Array, ""]
     gaussians: Gaussians
     opt_state: optax.OptState
     density_state: Any
@@ -64,7 +66,7 @@ def train_step(state: TrainState, batch: Batch, recipe: Recipe) -> tuple[TrainSt
     (gradients,) = pull_back((d_splats, jnp.ones_like(prior)))
 
     gradients = optimizer.without_locked_bands(gradients, state.step, recipe.sh_every)
-    progress = state.step.astype(jnp.float32) / recipe.steps
+    progress = state.step.astype(jnp.float32) / state.total
     rates = recipe.learning_rates.at(progress, state.extent, gradients.sh.shape[1])
     gaussians, opt_state = optimizer.update(state.gaussians, gradients, state.opt_state, rates)
     gaussians = lax.optimization_barrier(gaussians)

@@ -66,7 +66,7 @@ def train_step(state: TrainState, batch: Batch, recipe: Recipe) -> tuple[TrainSt
     (gradients,) = pull_back((d_splats, jnp.ones_like(prior)))
 
     gradients = optimizer.without_locked_bands(gradients, state.step, recipe.sh_every)
-    progress = state.step.astype(jnp.float32) / state.total
+    progress = state.step / state.total
     rates = recipe.learning_rates.at(progress, state.extent, gradients.sh.shape[1])
     gaussians, opt_state = optimizer.update(state.gaussians, gradients, state.opt_state, rates)
     gaussians = lax.optimization_barrier(gaussians)

@@ -12,7 +12,7 @@ LAYERS = (  # lowest first; a package stands for all its modules
     {"math", "errors"},
     {"gaussians", "splats", "camera", "dataset"},
     {"native"},
-    {"projection", "rasterizers", "losses", "metrics", "io"},
+    {"projection", "rasterizers", "losses", "metrics", "lpips", "io"},
     {"rendering"},
     {"training", "evaluation"},
     {"report", "demo", "bench"},

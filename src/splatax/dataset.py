@@ -4,11 +4,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from splatax.camera import Camera
+from splatax.errors import DatasetError
 
 Pixels = UInt8[np.ndarray, "_ _ 3"] | UInt8[np.ndarray, "_ _ 4"]
+Mask = Bool[np.ndarray, "_ _"]
 EXTENT_MARGIN = 1.1  # of the cameras' radius (authors' code of Kerbl et al. 2023)
 
 
@@ -20,11 +22,34 @@ class View:
         name: of the photo, unique in its data set.
         camera: of the same size as the photo.
         pixels: decodes the photo: 8-bit RGB, or RGBA with straight alpha.
+        mask: decodes which pixels count, for training and scores alike; None if all do.
     """
 
     name: str
     camera: Camera
     pixels: Callable[[], Pixels]
+    mask: Callable[[], Mask] | None = None
+
+
+def mask_of(view: View) -> Mask | None:
+    """Which pixels of a view count; None if all do.
+
+    Raises:
+        DatasetError: if the mask is not of the camera's size, or no pixel counts.
+    """
+    if view.mask is None:
+        return None
+    mask = view.mask()
+    height, width = mask.shape
+    if (width, height) != (view.camera.width, view.camera.height):
+        expected = f"{view.camera.width} x {view.camera.height}"
+        raise DatasetError(f"{view.name}: its mask has {width} x {height} pixels, its camera {expected}.")
+    if not mask.any():
+        raise DatasetError(
+            f"{view.name}: its mask is black all over, so nothing of the photo counts. Repair or delete the "
+            "mask, or remove the photo from the capture."
+        )
+    return mask
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from numpy.testing import assert_array_equal
 from PIL import Image
 
 import splatax as sx
-from splatax import cli, rasterizers
+from splatax import cli, lpips, rasterizers
 
 SPLIT = ("photo00.png", "photo08.png")  # every 8th of nine
 
@@ -54,6 +54,32 @@ def test_eval_of_the_run_repeats_its_scores(trained, capture, tmp_path, capsys):
     printed = capsys.readouterr().out
     assert all(name in printed for name in SPLIT)
     assert f"{scores['psnr']:.3f}" in printed
+
+
+def test_scores_state_the_worst_view_and_the_protocol_in_words(trained, capture, tmp_path, capsys):
+    metrics = read_json(trained / "metrics.json")
+    worst = min(metrics["test"]["views"], key=lambda view: view["psnr"])
+    assert metrics["test"]["worst"] == {"name": worst["name"], "psnr": worst["psnr"]}
+    assert all(view["corrected_psnr"] >= view["psnr"] for view in metrics["test"]["views"])
+    assert "affine" in metrics["protocol"]["corrected_psnr"]
+    assert "mask" in metrics["protocol"]["masks"]
+    cli.main(["eval", str(trained), str(capture), "--out", str(tmp_path / "scores.json")])
+    printed = capsys.readouterr().out
+    assert f"worst   {worst['name']}" in printed
+    assert f"{metrics['test']['corrected_psnr']:.3f}" in printed
+    assert max(map(len, printed.split("scores  ")[0].splitlines())) <= 80
+
+
+def test_eval_measures_lpips_with_the_weights_it_is_given(trained, capture, tmp_path, capsys):
+    weights = tmp_path / "weights.npz"
+    rng = np.random.default_rng(0)
+    np.savez(weights, **{name: rng.uniform(size=shape) * 0.01 for name, shape in lpips.ALEX.shapes.items()})
+    out = tmp_path / "scores.json"
+    cli.main(["eval", str(trained), str(capture), "--lpips", str(weights), "--out", str(out)])
+    scores = read_json(out)
+    assert "AlexNet" in scores["protocol"]["lpips"]
+    assert scores["lpips"] == pytest.approx(np.mean([view["lpips"] for view in scores["views"]]))
+    assert f"{scores['lpips']:.4f}" in capsys.readouterr().out
 
 
 def test_render_writes_colour_and_depth_of_the_split(trained, capture, tmp_path):

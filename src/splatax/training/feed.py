@@ -6,31 +6,34 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, UInt8
+from jaxtyping import Array, Bool, UInt8
 
 from splatax.camera import Camera
-from splatax.dataset import Pixels, View
+from splatax.dataset import Mask, Pixels, View, mask_of
 from splatax.errors import DatasetError
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Batch:
-    """One view: its camera, and its photo as 8-bit RGB or RGBA."""
+    """One view: its camera, its photo as 8-bit RGB or RGBA, and which pixels count (None: all)."""
 
     camera: Camera
     photo: UInt8[Array, "h w c"]
+    mask: Bool[Array, "h w"] | None = None
 
 
 def batches(views: Sequence[View], seed: int) -> Iterator[Batch]:
     """All views in a new random order, again and again. Photos are decoded once and kept, 8-bit."""
     rng = np.random.default_rng(seed)
-    decoded: dict[int, Pixels] = {}
+    decoded: dict[int, tuple[Pixels, Mask | None]] = {}
     while True:
         for index in rng.permutation(len(views)).tolist():
             if index not in decoded:
-                decoded[index] = checked(views[index])
-            yield Batch(views[index].camera, jnp.asarray(decoded[index]))
+                decoded[index] = checked(views[index]), mask_of(views[index])
+            photo, mask = decoded[index]
+            on_device = None if mask is None else jnp.asarray(mask)
+            yield Batch(views[index].camera, jnp.asarray(photo), on_device)
 
 
 def checked(view: View) -> Pixels:

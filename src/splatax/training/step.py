@@ -51,7 +51,7 @@ def train_step(state: TrainState, batch: Batch, recipe: Recipe) -> tuple[TrainSt
 
     def image_loss(splats):
         sums, alpha = rasterizers.composite(splats, splats.colors, backend=recipe.backend)
-        return recipe.loss(over(sums, alpha, background), photo, backend=recipe.backend)
+        return recipe.loss(over(sums, alpha, background), photo, batch.mask, backend=recipe.backend)
 
     def project_view(gaussians):
         return project(gaussians, batch.camera, low_pass=recipe.low_pass, backend=recipe.backend)

@@ -1,6 +1,6 @@
 """COLMAP models, binary or text, and the photos they were made from.
 
-    CAPTURE/sparse/0/{cameras,images,points3D}.{bin,txt}      CAPTURE/images/...
+    CAPTURE/sparse/0/{cameras,images,points3D}.{bin,txt}      CAPTURE/images/...      CAPTURE/masks/...
 
 pycolmap reads the model, and undistorts the photos of cameras that are no pinholes.
 """
@@ -19,6 +19,7 @@ from splatax.camera import Camera
 from splatax.dataset import Dataset, Pixels, PointCloud, View, hold_out
 from splatax.errors import DatasetError
 from splatax.io import images
+from splatax.io.datasets import masks
 from splatax.io.datasets.colmap_files import check_whole
 from splatax.io.datasets.reprojection import reprojection_errors
 
@@ -64,7 +65,8 @@ def load(path: Path, *, downscale: int | None = None) -> Dataset:
         raise DatasetError(f"{folder}: the model has no registered photos. Run COLMAP's mapper again.")
 
     photos, already = photo_folder(path, downscale)
-    sources = [source_of(image, model, photos) for image in registered]
+    found = masks.masks_of(path, [image.name for image in registered])
+    sources = [source_of(image, model, photos, found.get(image.name)) for image in registered]
     factor = shrink_factor(sources, already, downscale)
     views = [source.view(factor) for source in sources]
     train, test = hold_out(views)
@@ -73,6 +75,8 @@ def load(path: Path, *, downscale: int | None = None) -> Dataset:
     present = sum(images.is_image(p) for p in photos.rglob("*"))
     notes.append(f"{len(views)} of {present} photos registered, {len(test)} held out for testing")
     notes.append(f"{len(points):,} points; photos {sizes_of(views)} from {photos.name}/{scaling(factor)}")
+    if found:
+        notes.append(f"masks for {len(found)} of {len(views)} photos, from {masks.FOLDER}/")
     errors = reprojection_errors(model, registered, {view.name: view.camera for view in views})
     if len(errors):
         notes.append(f"median reprojection error {np.median(errors):.2f} px ({len(errors):,} observations)")
@@ -114,6 +118,7 @@ class Source:
 
     name: str
     path: Path
+    mask: Path | None
     upright: bool  # its EXIF orientation must be applied to match its camera
     camera: pycolmap.Camera  # of the photo's real size
     cam_from_world: np.ndarray
@@ -124,7 +129,11 @@ class Source:
         camera = camera_of(pinhole, self.cam_from_world)
         width, height = (max(1, round(side / factor)) for side in (camera.width, camera.height))
         decode = partial(decode_photo, self.path, self.upright, straighten, width, height)
-        return View(self.name, camera.resized(width, height), decode)
+        mask = None
+        if self.mask:
+            on_disk = (self.camera.width, self.camera.height)
+            mask = masks.decoder(self.mask, on_disk, straighten, (width, height))
+        return View(self.name, camera.resized(width, height), decode, mask)
 
 
 def camera_of(pinhole: pycolmap.Camera, cam_from_world: Float[np.ndarray, "3 4"]) -> Camera:
@@ -146,7 +155,9 @@ def decode_photo(
     return images.resize(straighten(images.read(path, upright=upright)), width, height)
 
 
-def source_of(image: pycolmap.Image, model: pycolmap.Reconstruction, photos: Path) -> Source:
+def source_of(
+    image: pycolmap.Image, model: pycolmap.Reconstruction, photos: Path, mask: Path | None
+) -> Source:
     """Finds the photo of a registered image, and fits its camera to the photo's real size."""
     path = find_photo(photos, image.name)
     camera = pycolmap.Camera(model.camera(image.camera_id).todict())
@@ -155,7 +166,7 @@ def source_of(image: pycolmap.Image, model: pycolmap.Reconstruction, photos: Pat
         # Equal proportions, give or take the rounding of a resize.
         if abs(width * camera.height / camera.width - height) <= 1.5:
             camera.rescale(width, height)
-            return Source(image.name, path, upright, camera, image.cam_from_world().matrix())
+            return Source(image.name, path, mask, upright, camera, image.cam_from_world().matrix())
     width, height = images.size_of(path)
     raise DatasetError(
         f"{path}: {width} x {height} pixels, but its camera is {camera.width} x {camera.height}: other "
@@ -186,7 +197,8 @@ def shrink_factor(sources: list[Source], already: int, downscale: int | None) ->
 
 def undistortion(camera: pycolmap.Camera) -> tuple[pycolmap.Camera, Callable[[Pixels], Pixels]]:
     """A pinhole for the photos of a camera, and what brings its photos into that form."""
-    if camera.is_perspective_pinhole():
+    # pycolmap calls all that is no fisheye a "perspective pinhole", whatever its distortion.
+    if camera.is_perspective_pinhole() and camera.is_undistorted():
         return camera, lambda pixels: pixels
     options = pycolmap.UndistortCameraOptions()
 

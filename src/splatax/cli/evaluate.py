@@ -61,7 +61,7 @@ class Evaluate:
         perceptual = lpips.read(self.lpips) if self.lpips else None
         model = read_model(self.model, self.low_pass)
         dataset = load_scene(self.scene, self.downscale, model)
-        background = BACKGROUNDS[self.background or model.options.get("background", "black")].rgb
+        background = BACKGROUNDS[self.background or model.options.get("background") or "black"].rgb
         views = views_of(dataset, self.split, self.scene)
         scores = sx.evaluate(
             model.gaussians,

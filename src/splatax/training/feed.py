@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import count, islice
 
 import jax
 import jax.numpy as jnp
@@ -23,17 +24,26 @@ class Batch:
     mask: Bool[Array, "h w"] | None = None
 
 
-def batches(views: Sequence[View], seed: int) -> Iterator[Batch]:
-    """All views in a new random order, again and again. Photos are decoded once and kept, 8-bit."""
-    rng = np.random.default_rng(seed)
+def batches(views: Sequence[View], seed: int, start: int = 0) -> Iterator[Batch]:
+    """All views in a new random order, again and again. Photos are decoded once and kept, 8-bit.
+
+    Args:
+        views: at least one.
+        seed: of the order.
+        start: how many batches to leave out; the rest are the same as without.
+    """
     decoded: dict[int, tuple[Pixels, Mask | None]] = {}
-    while True:
-        for index in rng.permutation(len(views)).tolist():
-            if index not in decoded:
-                decoded[index] = checked(views[index]), mask_of(views[index])
-            photo, mask = decoded[index]
-            on_device = None if mask is None else jnp.asarray(mask)
-            yield Batch(views[index].camera, jnp.asarray(photo), on_device)
+    for index in islice(order(len(views), seed, start // len(views)), start % len(views), None):
+        if index not in decoded:
+            decoded[index] = checked(views[index]), mask_of(views[index])
+        photo, mask = decoded[index]
+        yield Batch(views[index].camera, jnp.asarray(photo), None if mask is None else jnp.asarray(mask))
+
+
+def order(views: int, seed: int, epoch: int) -> Iterator[int]:
+    """Indices of views from an epoch on: each epoch's order depends on the seed and its number alone."""
+    for number in count(epoch):
+        yield from np.random.default_rng((seed, number)).permutation(views).tolist()
 
 
 def checked(view: View) -> Pixels:

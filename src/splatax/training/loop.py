@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from splatax import rasterizers
 from splatax.dataset import Dataset
@@ -14,8 +14,22 @@ from splatax.gaussians import Gaussians
 from splatax.training import optimizer
 from splatax.training.capacity import bucket_for, pad
 from splatax.training.feed import batches
+from splatax.training.initialize import require_visible
 from splatax.training.recipes import Recipe
 from splatax.training.step import TrainState, train_step
+
+
+@dataclass(frozen=True)
+class RunState:
+    """A run between two steps: with the data set and the recipe, all that is needed to go on.
+
+    Attributes:
+        train: what the steps change. The next step uses it up.
+        count: of living Gaussians.
+    """
+
+    train: TrainState
+    count: int
 
 
 @dataclass(frozen=True)
@@ -32,6 +46,11 @@ class Progress:
     loss: Float[Array, ""]
     count: int
     _state: TrainState
+
+    @property
+    def state(self) -> RunState:
+        """What `optimize` needs to go on from here, valid until the next step."""
+        return RunState(self._state, self.count)
 
     @property
     def gaussians(self) -> Gaussians:
@@ -53,36 +72,58 @@ def fit(dataset: Dataset, recipe: Recipe) -> Gaussians:
     return progress.gaussians
 
 
-def optimize(dataset: Dataset, recipe: Recipe) -> Iterator[Progress]:
+def optimize(dataset: Dataset, recipe: Recipe, start: RunState | None = None) -> Iterator[Progress]:
     """Trains a scene, and yields after each step. The same arguments give the same scene.
 
+    Args:
+        dataset: the capture.
+        recipe: how.
+        start: a run of the same data set and recipe, to go on as if it had never stopped. It is used up.
+
     Raises:
-        DatasetError: if there are no training views, or nothing to start from.
-        ValueError: if the recipe has no steps, or its backend is not available.
+        DatasetError: if there are no training views, or nothing to start from that they see.
+        ValueError: if the recipe has no steps, none are left, or its backend is not available.
     """
     if not dataset.train:
         raise DatasetError("The capture has no photos to train on.")
     if recipe.steps < 1:
         raise ValueError(f"a recipe needs at least one step, not {recipe.steps}")
     recipe = replace(recipe, backend=rasterizers.resolve(recipe.backend))
-    gaussians = recipe.initialization(dataset, recipe.sh_degree, recipe.seed)
-    yield from _steps(dataset, recipe, gaussians)
+    if start is None:
+        gaussians = recipe.initialization(dataset, recipe.sh_degree, recipe.seed)
+        require_visible(gaussians, dataset)
+        padded = pad(gaussians, bucket_for(len(gaussians)))
+        start = RunState(first_state(padded, recipe, dataset.extent), len(gaussians))
+    yield from _steps(dataset, recipe, start)
 
 
-def _steps(dataset: Dataset, recipe: Recipe, gaussians: Gaussians) -> Iterator[Progress]:
-    count = len(gaussians)
-    capacity = bucket_for(count)
-    padded = pad(gaussians, capacity)
-    key, refine_key = jax.random.split(jax.random.key(recipe.seed))
-    state = TrainState(
+def first_state(gaussians: Gaussians, recipe: Recipe, extent: float) -> TrainState:
+    """Before any step, from a padded scene."""
+    key, _ = _keys(recipe)
+    return TrainState(
         step=jnp.int32(0),
-        gaussians=padded,
-        opt_state=optimizer.ADAM.init(padded),
-        density_state=recipe.density.init(capacity),
+        gaussians=gaussians,
+        opt_state=optimizer.ADAM.init(gaussians),
+        density_state=recipe.density.init(len(gaussians)),
         key=key,
-        extent=jnp.float32(dataset.extent),
+        extent=jnp.float32(extent),
     )
-    for step, batch in zip(range(1, recipe.steps + 1), batches(dataset.train, recipe.seed), strict=False):
+
+
+def _keys(recipe: Recipe) -> tuple[PRNGKeyArray, PRNGKeyArray]:
+    """Of the steps and of the refinements."""
+    key, refine_key = jax.random.split(jax.random.key(recipe.seed))
+    return key, refine_key
+
+
+def _steps(dataset: Dataset, recipe: Recipe, start: RunState) -> Iterator[Progress]:
+    state, count = start.train, start.count
+    _, refine_key = _keys(recipe)
+    done = int(state.step)
+    if done >= recipe.steps:
+        raise ValueError(f"nothing left to do: {done} of {recipe.steps} steps are made")
+    steps = range(done + 1, recipe.steps + 1)
+    for step, batch in zip(steps, batches(dataset.train, recipe.seed, done), strict=False):
         state, loss = train_step(state, batch, recipe)
         if recipe.density.due(step):
             refined = recipe.density.refine(

@@ -91,7 +91,7 @@ class Dataset:
         test: views held out; may be empty.
         points: from structure from motion; may be empty.
         notes: what the loader found, a line each, for people to read.
-        background: name of the colour that photos with alpha are meant to be seen over.
+        background: that photos with alpha are to be seen over; None where the capture does not say.
         survey: what the loader saw beside the views.
     """
 
@@ -99,7 +99,7 @@ class Dataset:
     test: tuple[View, ...]
     points: PointCloud
     notes: tuple[str, ...] = ()
-    background: Literal["black", "white"] = "black"
+    background: Literal["white"] | None = None
     survey: Survey = field(default_factory=Survey)
 
     @property

@@ -15,6 +15,7 @@ from splatax.dataset import Pixels, Survey, View
 from splatax.errors import DatasetError
 from splatax.io import images
 from splatax.io.datasets import masks
+from splatax.io.datasets.undistortion import undistortion
 
 RESIZED_FOLDERS = (2, 4, 8)  # images_2, images_4, images_8: photos that someone has shrunk already
 LARGEST_SIDE = 1600  # pixels, of photos that are loaded without being told a size (as INRIA's)
@@ -47,7 +48,7 @@ class Source:
 
     def view(self, factor: float) -> View:
         """The view at 1 / factor of the photo's size, without distortion."""
-        pinhole, straighten = undistortion(self.camera)
+        pinhole, straighten = undistortion(self.camera, factor)
         camera = camera_of(pinhole, self.cam_from_world)
         width, height = (max(1, round(side / factor)) for side in (camera.width, camera.height))
         decode = partial(decode_photo, self.path, self.upright, straighten, width, height)
@@ -101,22 +102,6 @@ def decode_photo(
     path: Path, upright: bool, straighten: Callable[[Pixels], Pixels], width: int, height: int
 ) -> Pixels:
     return images.resize(straighten(images.read(path, upright=upright)), width, height)
-
-
-def undistortion(camera: pycolmap.Camera) -> tuple[pycolmap.Camera, Callable[[Pixels], Pixels]]:
-    """A pinhole for the photos of a camera, and what brings its photos into that form."""
-    # pycolmap calls all that is no fisheye a "perspective pinhole", whatever its distortion.
-    if camera.is_perspective_pinhole() and camera.is_undistorted():
-        return camera, lambda pixels: pixels
-    options = pycolmap.UndistortCameraOptions()
-
-    def straighten(pixels: Pixels) -> Pixels:
-        parts = [pixels[..., :3], *([pixels[..., 3]] if pixels.shape[2] == 4 else [])]
-        bitmaps = [pycolmap.Bitmap.from_array(np.ascontiguousarray(part)) for part in parts]
-        straight = [pycolmap.undistort_image(options, bitmap, camera)[0].to_array() for bitmap in bitmaps]
-        return np.dstack(straight)
-
-    return pycolmap.undistort_camera(options, camera), straighten
 
 
 def shrink_factor(sources: list[Source], already: int, downscale: int | None) -> float:

@@ -15,7 +15,7 @@ LAYERS = (  # lowest first; a package stands for all its modules
     {"projection", "rasterizers", "losses", "metrics", "lpips", "io"},
     {"rendering"},
     {"training", "evaluation"},
-    {"report", "demo", "bench"},
+    {"report", "demo", "bench", "reconstruction", "inspection"},
     {"cli"},
 )
 NEVER = {("training", "io"), ("io", "rasterizers"), ("io", "projection")}  # in reach, but not theirs

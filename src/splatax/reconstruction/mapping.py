@@ -53,13 +53,13 @@ def opened(path: Path) -> Iterator[pycolmap.Database]:
         database.close()
 
 
-def register(path: Path, entries: Sequence[Entry]) -> None:
-    """Writes photos and their cameras to a new database, in order, so that their numbers do not depend
-    on which thread is first. Photos of one device and size share a camera."""
+def register(database: pycolmap.Database, entries: Sequence[Entry]) -> None:
+    """Writes photos and their cameras to an empty database, in order, so that their numbers do not
+    depend on which thread is first. Photos of one device and size share a camera."""
     devices: dict[tuple[str, tuple[int, int]], list[Entry]] = {}
     for entry in entries:
         devices.setdefault((entry.device, entry.size), []).append(entry)
-    with opened(path) as database, pycolmap.DatabaseTransaction(database):
+    with pycolmap.DatabaseTransaction(database):
         rigs = {key: write_camera(database, group) for key, group in devices.items()}
         for entry in entries:
             camera, rig = rigs[entry.device, entry.size]

@@ -90,7 +90,10 @@ def shared(
 ) -> Float[np.ndarray, " m"]:
     """How many features have a distinct match in each of the other photos."""
     products = (features @ np.concatenate(others).T).reshape(FEATURES, len(others), FEATURES)
-    second, best = np.moveaxis(np.partition(products, -2, axis=2)[:, :, -2:], 2, 0)
+    at = products.argmax(axis=2)[..., None]
+    best = np.take_along_axis(products, at, axis=2)[..., 0]
+    np.put_along_axis(products, at, -np.inf, axis=2)
+    second = products.max(axis=2)
     # Distances of unit vectors: |a - b|^2 = 2 - 2 a.b
     distinct = (2 - 2 * best) < RATIO**2 * (2 - 2 * second)
     return np.sum(distinct & (best > 0), axis=0).astype(np.float64)

@@ -90,7 +90,9 @@ def reconstruct(
     database = work / "database.db"
     if not database.exists():
         entries = [entry_of(name, photo, features) for name, photo in photos.items()]
-        mapping.register(work / "new.db", entries)
+        (work / "new.db").unlink(missing_ok=True)
+        with mapping.opened(work / "new.db") as empty:
+            mapping.register(empty, entries)
         (work / "new.db").replace(database)
     mapping.extract(database, work / "photos", features, partial(watch, "features"))
     mapping.match(database, pairing or pairing_for(source, len(photos)), seed, partial(watch, "matches"))

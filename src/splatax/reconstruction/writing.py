@@ -28,7 +28,8 @@ def write_capture(
         if image.camera_id not in lenses:
             lens = pycolmap.Camera(model.camera(image.camera_id).todict())
             lens.rescale(*photos[image.name].size)
-            pinhole, straighten = undistortion(lens, -(-max(lens.width, lens.height) // LARGEST_SIDE))
+            shrinking = float(-(-max(lens.width, lens.height) // LARGEST_SIDE))  # by the loader
+            pinhole, straighten = undistortion(lens, shrinking)
             lenses[image.camera_id], pinholes[image.camera_id] = lens, pinhole
             straighteners[image.camera_id] = straighten
     for done, image in enumerate(registered):

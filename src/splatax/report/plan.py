@@ -27,7 +27,7 @@ def plan(dataset: Dataset) -> str:
     figure = Figure(figsize=(11, 5.2), layout="constrained", dpi=DPI)
     FigureCanvasAgg(figure)
     for panel, (title, across, upward) in zip(
-        figure.subplots(1, 2), (("from above", 0, 1), ("from the side", 0, 2)), strict=True
+        figure.subplots(1, 2), (("from above", 0, 1), ("from the side", 1, 2)), strict=True
     ):
         pick = np.array(upright_frame(axes))[[across, upward]]
         flat_cloud, flat = cloud @ pick.T, positions @ pick.T

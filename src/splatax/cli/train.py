@@ -53,7 +53,8 @@ class Train:
     """
 
     scene: tyro.conf.Positional[Path | None] = None
-    """Folder of the capture: photos and a COLMAP model (images/ and sparse/0/)."""
+    """Folder of the capture, or a zip file of it: photos with a COLMAP model (images/ and sparse/0/),
+    transforms.json, or LLFF's poses_bounds.npy. Photos without poses: splatax reconstruct."""
     out: Path | None = None
     """Folder for the results. Without it: runs/NAME, with the name of the capture's folder."""
     budget: str | None = None
@@ -73,7 +74,8 @@ class Train:
     """Start from the capture's points, or at random where the cameras look."""
     background: BackgroundName | None = None
     """Behind the scene, and behind photos with alpha. "random" changes each step, against haze, and is
-    black in evaluations. Without it: the recipe's, random for "default", else black."""
+    black in evaluations. Without it: white for Blender's scenes; else the recipe's, random for
+    "default", else black."""
     low_pass: LowPassName = "dilation"
     """What keeps thin Gaussians visible. "antialiasing" also keeps their brightness from afar."""
     backend: BackendName = "auto"
@@ -150,15 +152,15 @@ class Train:
         dataset = load_scene(self.scene, self.downscale)
         for note in dataset.notes:
             print(note)
+        settled = replace(self, scene=scene, background=self.background or dataset.background)
         if changes is None and self.budget is not None:
-            self.planned(dataset).start(history, self.clock(history))
-            return
-        recipe = self.to_recipe(dataset)
+            settled, changes = settled.planned(dataset), self.clock(history)
+        recipe = settled.to_recipe(dataset)
         if self.init == "sfm" and not len(dataset.points):
             raise InputError(
                 f"{self.scene}: the capture has no points to start from. Start at random: --init random."
             )
-        options = asdict(replace(self, scene=scene))
+        options = asdict(settled)
         out = earlier.run if earlier else self.out or Path("runs") / scene.resolve().name
         claim(out, self.overwrite or earlier is not None)
         checkpoints = Checkpoints(

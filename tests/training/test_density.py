@@ -205,12 +205,11 @@ def test_a_refined_scene_is_the_living_first_and_then_empty_slots(strategy, stat
 # --- capacity ---
 
 
-def test_capacity_grows_by_halves():
-    capacities = [bucket_for(n) for n in (1, 1024, 1025, 100_000)]
-    assert capacities[:2] == [1024, 1024]
-    assert capacities[2] == 1536
-    assert 100_000 <= capacities[3] <= 150_000
+def test_capacity_doubles_up_to_what_will_ever_be_needed():
+    assert [bucket_for(n) for n in (1, 1024, 1025, 100_000)] == [1024, 1024, 2048, 131_072]
     assert bucket_for(10, current=5000) == 5000
+    assert [bucket_for(n, 1024, 3000) for n in (1000, 1025, 2049)] == [1024, 2048, 3000]
+    assert bucket_for(5000, 1024, 3000) == 8192  # more than expected
 
 
 def test_capacity_changes_nothing_in_the_image():

@@ -16,6 +16,7 @@ from splatax.projection import project
 from splatax.rendering import over
 from splatax.training import optimizer
 from splatax.training.feed import Batch
+from splatax.training.optimizer import LearningRates
 from splatax.training.recipes import Recipe
 
 
@@ -43,12 +44,19 @@ class TrainState:
     extent: Float[Array, ""]
 
 
-@partial(jax.jit, static_argnames="recipe", donate_argnames="state")
 def train_step(state: TrainState, batch: Batch, recipe: Recipe) -> tuple[TrainState, Float[Array, ""]]:
     """Makes one step on one view; returns the new state and the loss. The old state is used up.
 
     The backend named by the recipe must be resolved already.
     """
+    # Numbers that differ from run to run are inputs of the program, so that it is compiled once for all.
+    return _train_step(state, batch, recipe.learning_rates, recipe.sh_every, recipe)
+
+
+@partial(jax.jit, static_argnames="recipe", donate_argnames="state")
+def _train_step(
+    state: TrainState, batch: Batch, learning_rates: LearningRates, sh_every: Int[Array, ""], recipe: Recipe
+) -> tuple[TrainState, Float[Array, ""]]:
     background_key, noise_key = jax.random.split(jax.random.fold_in(state.key, state.step))
     background = recipe.background.sample(background_key)
     photo = photo_over(batch.photo, background)
@@ -65,9 +73,9 @@ def train_step(state: TrainState, batch: Batch, recipe: Recipe) -> tuple[TrainSt
     loss, d_splats = jax.value_and_grad(image_loss)(splats)
     (gradients,) = pull_back((d_splats, jnp.ones_like(prior)))
 
-    gradients = optimizer.without_locked_bands(gradients, state.step, recipe.sh_every)
+    gradients = optimizer.without_locked_bands(gradients, state.step, sh_every)
     progress = state.step / state.total
-    rates = recipe.learning_rates.at(progress, state.extent, gradients.sh.shape[1])
+    rates = learning_rates.at(progress, state.extent, gradients.sh.shape[1])
     gaussians, opt_state = optimizer.update(state.gaussians, gradients, state.opt_state, rates)
     gaussians = lax.optimization_barrier(gaussians)
     gaussians = recipe.noise(gaussians, rates.means[0, 0], state.extent, noise_key)

@@ -71,7 +71,7 @@ class Classic:
         if self._densifies(step):
             parents, children = self._plan(state, gaussians, count, step, extent)
             count = len(parents)
-            capacity = bucket_for(count, len(gaussians))
+            capacity = bucket_for(count, len(gaussians), self.max_gaussians)
             padding = (0, capacity - count)
             lineage = Lineage(
                 jnp.asarray(np.pad(parents, padding)),

@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from splatax.inspection.examine import Examination
+from splatax.inspection.examination import Examination
 from splatax.inspection.looks import robust_scores
 from splatax.io.datasets.photos import listed
 

@@ -58,10 +58,10 @@ def test_a_sound_capture_has_no_problem_but_its_few_points(capture):
 @pytest.mark.parametrize(
     ("change", "what"),
     [
-        (lambda p: ndimage.gaussian_filter(p, (2.5, 2.5, 0)), "1 photos are blurred, compared with the rest"),
-        (lambda p: p * 0.4, "1 photos are much darker than the rest"),
-        (lambda p: p * 0.4 + 150, "1 photos are much brighter than the rest"),
-        (lambda p: np.where(np.arange(64)[:, None] < 30, 255, p), "1 photos are white over more than 20% of"),
+        (lambda p: ndimage.gaussian_filter(p, (2.5, 2.5, 0)), "1 photo is blurred, compared with the rest"),
+        (lambda p: p * 0.4, "1 photo is much darker than the rest"),
+        (lambda p: p * 0.4 + 150, "1 photo is much brighter than the rest"),
+        (lambda p: np.where(np.arange(64)[:, None] < 30, 255, p), "1 photo is white over more than 20% of"),
     ],
     ids=["blurred", "dark", "bright", "burnt out"],
 )
@@ -75,7 +75,7 @@ def test_a_photo_that_cannot_be_read_is_an_error(capture):
     path.write_bytes(path.read_bytes()[:500])
     first = problems(capture)[0]
     assert first.severity == "error"
-    assert re.match(r"1 photos cannot be read: photo03.png \(.+\)", first.what)
+    assert re.match(r"1 photo cannot be read: photo03.png \(.+\)", first.what)
 
 
 def test_photos_without_a_pose_are_named(capture):
@@ -98,7 +98,7 @@ def test_one_badly_placed_photo_is_found(capture):
     for point in model.find_image_with_name("photo05.png").points2D:
         point.xy = point.xy + [3, 4]
     model.write_binary(capture / "sparse" / "0")
-    assert "1 photos are placed worse than the rest: photo05.png." in said(capture)
+    assert "1 photo is placed worse than the rest: photo05.png." in said(capture)
 
 
 def test_turning_on_the_spot_is_an_error(tmp_path):

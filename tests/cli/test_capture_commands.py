@@ -42,7 +42,7 @@ def nothing(folder):
 
 def one_photo(folder):
     Image.new("RGB", (40, 30)).save(folder / "a.png")
-    return "1 photos to use, but depth needs at least 3"
+    return "1 photo to use, but depth needs at least 3"
 
 
 def damaged_photos(folder):

@@ -88,6 +88,7 @@ def test_half_a_reconstruction_of_other_photos_is_not_gone_on_with(photos, tmp_p
         reconstruct(photos, tmp_path)
 
 
+@pytest.mark.slow
 def test_photos_that_do_not_fit_are_named_with_the_reason(photos, tmp_path):
     mixed = shutil.copytree(photos, tmp_path / "mixed")
     elsewhere = corner.photograph((0, 0, 0), corner.wallpaper(seed=4))
@@ -124,6 +125,7 @@ def test_one_or_two_photos_are_too_few(photos, tmp_path, count):
         reconstruct(tmp_path / "photos", tmp_path / "capture")
 
 
+@pytest.mark.slow
 def test_photos_are_turned_upright_as_exif_says(photos, tmp_path):
     (tmp_path / "photos").mkdir()
     for path in photos.iterdir():

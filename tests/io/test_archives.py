@@ -113,5 +113,5 @@ def test_what_was_looked_for_and_found_in_other_folders(tmp_path):
     with pytest.raises(DatasetError, match="found an empty folder"):
         sx.load_dataset(tmp_path)
     (tmp_path / "a.jpg").write_bytes(b"x")
-    with pytest.raises(DatasetError, match="1 photos without poses: find them with splatax reconstruct"):
+    with pytest.raises(DatasetError, match="1 photo without poses: find them with splatax reconstruct"):
         sx.load_dataset(tmp_path)

@@ -1,6 +1,7 @@
 """From photos to poses: the corner of a room whose cameras are known, and photos that are no use."""
 
 import shutil
+import sys
 
 import numpy as np
 import pytest
@@ -87,6 +88,7 @@ def test_half_a_reconstruction_of_other_photos_is_not_gone_on_with(photos, tmp_p
         reconstruct(photos, tmp_path)
 
 
+@pytest.mark.slow
 def test_photos_that_do_not_fit_are_named_with_the_reason(photos, tmp_path):
     mixed = shutil.copytree(photos, tmp_path / "mixed")
     elsewhere = corner.photograph((0, 0, 0), corner.wallpaper(seed=4))
@@ -119,10 +121,11 @@ def test_one_or_two_photos_are_too_few(photos, tmp_path, count):
     (tmp_path / "photos").mkdir()
     for i in range(count):
         shutil.copy(photos / f"wall {i}.jpg", tmp_path / "photos")
-    with pytest.raises(DatasetError, match=f"{count} photos to use, but depth needs at least 3"):
+    with pytest.raises(DatasetError, match=f"{count} photos? to use, but depth needs at least 3"):
         reconstruct(tmp_path / "photos", tmp_path / "capture")
 
 
+@pytest.mark.slow
 def test_photos_are_turned_upright_as_exif_says(photos, tmp_path):
     (tmp_path / "photos").mkdir()
     for path in photos.iterdir():
@@ -134,6 +137,24 @@ def test_photos_are_turned_upright_as_exif_says(photos, tmp_path):
     assert view.camera.width > view.camera.height
     rows = view.pixels()[20:-20, 20:-20]
     assert rows.shape[1] > rows.shape[0]
+
+
+def test_photos_of_phones_in_heic_are_read(photos, tmp_path):
+    heif = pytest.importorskip("pillow_heif")
+    (tmp_path / "photos").mkdir()
+    image = Image.open(photos / "wall 0.jpg")
+    heif.from_pillow(image).save(tmp_path / "photos" / "IMG_1.HEIC", quality=90)
+    (photo,), damaged = pipeline.photos_in(tmp_path / "photos")
+    assert not damaged
+    assert photo.name == "IMG_1.HEIC.jpg"  # what it is saved as, for tools that read no HEIC
+    assert pipeline.read(photo).shape == (300, 400, 3)
+
+
+def test_heic_without_its_package_names_the_way_to_it(tmp_path, monkeypatch):
+    (tmp_path / "IMG_1.HEIC").write_bytes(b"x")
+    monkeypatch.setitem(sys.modules, "pillow_heif", None)
+    with pytest.raises(InputError, match=r"IMG_1.HEIC: .*splatax\[heic\]"):
+        pipeline.photos_in(tmp_path)
 
 
 def test_the_photos_themselves_are_never_in_the_way(photos, tmp_path):

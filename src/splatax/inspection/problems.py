@@ -6,9 +6,9 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from splatax.inspection.examine import Examination
+from splatax.inspection.examination import Examination
 from splatax.inspection.looks import robust_scores
-from splatax.io.datasets.photos import listed
+from splatax.io.datasets.photos import counted, listed
 
 FEW_VIEWS = 20
 OUTLIER = 3.5  # robust standard deviations (Iglewicz and Hoaglin 1993)
@@ -66,7 +66,7 @@ def registration(found: Examination) -> list[Problem]:
         problems.append(
             Problem(
                 "warning",
-                f"Only {len(found.views)} photos.",
+                f"Only {counted(len(found.views))}.",
                 "Take 50 to 200, around the subject at two or three heights.",
             )
         )
@@ -110,7 +110,7 @@ def errors(found: Examination) -> list[Problem]:
     return [
         Problem(
             "warning",
-            f"{len(bad)} photos are placed worse than the rest: {listed(bad)}.",
+            f"{are(bad)} placed worse than the rest: {listed(bad)}.",
             "Remove them from the capture if they are blurred or something moved.",
         )
     ]
@@ -121,7 +121,7 @@ def exposure(found: Examination) -> list[Problem]:
     problems = []
     if broken := sorted(found.looks.keys() - seen.keys()):
         why = found.looks[broken[0]].unreadable
-        what = f"{len(broken)} photos cannot be read: {listed(broken)} ({why})."
+        what = f"{counted(len(broken))} cannot be read: {listed(broken)} ({why})."
         problems.append(Problem("error", what, "Copy them from the camera again."))
     levels = np.log2([max(look.luminance, 1e-3) for look in seen.values()])
     for names, how in (
@@ -132,16 +132,14 @@ def exposure(found: Examination) -> list[Problem]:
             problems.append(
                 Problem(
                     "warning",
-                    f"{len(names)} photos are much {how} than the rest: {listed(names)}.",
+                    f"{are(names)} much {how} than the rest: {listed(names)}.",
                     "Lock exposure and white balance, or leave these out.",
                 )
             )
     if len(seen) and np.median([look.luminance for look in seen.values()]) < DARK:
         problems.append(Problem("warning", "The photos are dark, so noise will be learned.", "Add light."))
     if white := sorted(name for name, look in seen.items() if look.clipped > MUCH_WHITE):
-        what = (
-            f"{len(white)} photos are white over more than {MUCH_WHITE:.0%} of their area: {listed(white)}."
-        )
+        what = f"{are(white)} white over more than {MUCH_WHITE:.0%} of their area: {listed(white)}."
         problems.append(
             Problem("warning", what, "Expose for the bright parts, unless that is a white backdrop.")
         )
@@ -157,10 +155,15 @@ def blur(found: Examination) -> list[Problem]:
     return [
         Problem(
             "warning",
-            f"{len(names)} photos are blurred, compared with the rest: {listed(names)}.",
+            f"{are(names)} blurred, compared with the rest: {listed(names)}.",
             "Leave them out, or take them again: stop before each photo, with a short exposure.",
         )
     ]
+
+
+def are(names: list[str]) -> str:
+    """ "1 photo is", "2 photos are"."""
+    return f"{counted(len(names))} {'is' if len(names) == 1 else 'are'}"
 
 
 def outliers(names: list[str], values: Float[np.ndarray, " n"], floor: float, sign: int) -> list[str]:

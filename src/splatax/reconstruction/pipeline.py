@@ -11,6 +11,7 @@ import pycolmap
 
 from splatax.errors import DatasetError, InputError
 from splatax.io import images
+from splatax.io.datasets.photos import counted
 from splatax.io.files import write_whole
 from splatax.reconstruction import diagnosis, mapping
 from splatax.reconstruction.mapping import Entry, Features
@@ -84,7 +85,7 @@ def reconstruct(
     if len(photos) < FEWEST:
         why = f" ({len(rejected)} cannot be read, such as {next(iter(rejected))})" if rejected else ""
         raise DatasetError(
-            f"{source}: {len(photos)} photos to use{why}, but depth needs at least {FEWEST}, better 30 or "
+            f"{source}: {counted(len(photos))} to use{why}, but depth needs at least {FEWEST}, better 30 or "
             "more, from different places."
         )
     database = work / "database.db"

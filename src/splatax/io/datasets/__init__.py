@@ -6,6 +6,7 @@ from splatax.dataset import Dataset
 from splatax.errors import DatasetError
 from splatax.io import images
 from splatax.io.datasets import archives, colmap, llff, transforms
+from splatax.io.datasets.photos import counted
 
 DATASETS = (colmap, transforms, llff)  # the first that recognises a folder loads it
 
@@ -50,6 +51,6 @@ def folder_of(path: Path) -> Path:
 def contents(folder: Path) -> str:
     """What is in a folder that is no capture, and what to do with that."""
     if found := sum(images.is_image(photo) for photo in folder.rglob("*")):
-        return f"{found} photos without poses: find them with splatax reconstruct"
+        return f"{counted(found)} without poses: find them with splatax reconstruct"
     names = sorted(path.name for path in folder.iterdir())
     return f"{', '.join(names[:5])}{' and more' if len(names) > 5 else ''}" if names else "an empty folder"

@@ -144,6 +144,11 @@ def scaling(factor: float) -> str:
     return "" if factor == 1 else f", shrunk {factor:g} times"
 
 
+def counted(number: int) -> str:
+    """ "1 photo", "2 photos"."""
+    return f"{number} photo" if number == 1 else f"{number} photos"
+
+
 def listed(names: Iterable[str]) -> str:
     """ "a, b, c and 4 more"."""
     every = list(names)

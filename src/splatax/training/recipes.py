@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from splatax.dataset import Dataset
 from splatax.losses import Photometric
@@ -39,6 +39,15 @@ class Recipe:
 def classic(steps: int = 30_000, max_gaussians: int = 5_000_000) -> Recipe:
     """Kerbl et al. 2023. Density control ends halfway, at 15,000 of 30,000 steps."""
     return Recipe(steps=steps, density=Classic(until=min(15_000, steps // 2), max_gaussians=max_gaussians))
+
+
+def absgrad(steps: int = 30_000, max_gaussians: int = 5_000_000) -> Recipe:
+    """Ye et al. 2024 (AbsGS): as `classic`, but pixels that pull in opposite directions add up.
+
+    With the threshold that gsplat recommends for it.
+    """
+    recipe = classic(steps, max_gaussians)
+    return replace(recipe, density=replace(recipe.density, absolute=True, pull_threshold=8e-4))
 
 
 def mcmc(steps: int = 30_000, max_gaussians: int = 1_000_000) -> Recipe:
@@ -112,4 +121,9 @@ def room_for(dataset: Dataset) -> int:
     return min(round(pixels / math.sqrt(len(dataset.train)) / PIXELS_PER_GAUSSIAN), MOST)
 
 
-RECIPES: dict[str, Callable[..., Recipe]] = {"classic": classic, "mcmc": mcmc, "default": default}
+RECIPES: dict[str, Callable[..., Recipe]] = {
+    "classic": classic,
+    "absgrad": absgrad,
+    "mcmc": mcmc,
+    "default": default,
+}

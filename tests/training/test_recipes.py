@@ -63,8 +63,8 @@ def test_absgrad_sees_pulls_that_cancel_out_for_classic():
     states = []
     for name in ("classic", "absgrad"):
         recipe = replace(RECIPES[name](steps=20), sh_degree=1)
-        *_, (_, _, _, state) = run(capture(), recipe)
-        states.append(state.density_state)
+        *_, (_, _, _, progress) = run(capture(), recipe)
+        states.append(progress.state.train.density_state)
     classic, absgrad = states
     assert_array_equal(absgrad.views, classic.views)  # the same scene, seen alike
     assert_allclose(absgrad.screen, classic.screen)

@@ -17,7 +17,7 @@ from splatax.gaussians import Gaussians
 from splatax.native import Build, photometric, projection
 from splatax.splats import Splats
 
-MAX_PULLED_CHANNELS = 4  # GROUP in native/: more are drawn in turn, and so is their gradient summed
+MAX_PULLED_CHANNELS = 4  # GROUP in native/: of more, no pixel's whole gradient is ever known
 MAX_PAIRS = 2**22  # (splat, tile) pairs in a round: at most 260 MB, however large the scene
 
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from splatax.dataset import Dataset
 from splatax.losses import Photometric
@@ -46,8 +46,9 @@ def absgrad(steps: int = 30_000, max_gaussians: int = 5_000_000) -> Recipe:
 
     With the threshold that gsplat recommends for it.
     """
-    recipe = classic(steps, max_gaussians)
-    return replace(recipe, density=replace(recipe.density, absolute=True, pull_threshold=8e-4))
+    until = min(15_000, steps // 2)
+    density = Classic(until=until, pull_threshold=8e-4, absolute=True, max_gaussians=max_gaussians)
+    return Recipe(steps=steps, density=density)
 
 
 def mcmc(steps: int = 30_000, max_gaussians: int = 1_000_000) -> Recipe:

@@ -141,9 +141,7 @@ def for_each_round(
     return lax.while_loop(lambda walk: walk[0].slab < slabs, step, (Cursor.start(), carry))[1]
 
 
-def gradients_of(
-    splats: Splats, moments: Float[Array, "n 6"], pull: Float[Array, "n 2"] | None
-) -> Splats:
+def gradients_of(splats: Splats, moments: Float[Array, "n 6"], pull: Float[Array, "n 2"] | None) -> Splats:
     """From moments of g = alpha dL/d alpha about each mean to gradients of its splat.
 
     With alpha = o exp(-(s^2 + t^2) / 2), s = u dx + v dy, t = w dy and d = pixel - mean:

@@ -58,7 +58,7 @@ class Classic:
     def observe(self, state: Observed, splats: Splats, d_splats: Splats) -> Observed:
         visible = jnp.any(splats.extents > 0, axis=1)
         half = jnp.array([splats.width / 2, splats.height / 2], splats.means2d.dtype)
-        gradient = d_splats.pull if self.absolute else d_splats.means2d
+        gradient = d_splats.means2d if d_splats.pull is None else d_splats.pull
         pull = jnp.linalg.norm(gradient * half[None, :], axis=1)
         screen = jnp.max(splats.extents, axis=1) / max(splats.width, splats.height)
         return Observed(

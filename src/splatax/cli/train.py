@@ -65,11 +65,11 @@ class Train:
     downscale: Downscale = "auto"
     """Divide the size of photos by this. "auto": the least that brings them to 1600 pixels."""
     recipe: RecipeName = "default"
-    """How to train. "default": the best known; "classic": Kerbl et al. 2023; "mcmc": Kheradmand et al.
-    2024."""
+    """How to train. "default": the best known; "classic": Kerbl et al. 2023; "absgrad": Ye et al. 2024;
+    "mcmc": Kheradmand et al. 2024."""
     max_gaussians: Literal["auto"] | int = "auto"
-    """The most Gaussians that the scene may grow to; all recipes but "classic" do grow to it. "auto": as
-    many as the photos have detail for; with "classic" 5,000,000, which it rarely reaches."""
+    """The most Gaussians that the scene may grow to; all recipes but "classic" and "absgrad" do grow to
+    it. "auto": as many as the photos have detail for; with those two 5,000,000, which they rarely reach."""
     init: Literal["sfm", "random"] = "sfm"
     """Start from the capture's points, or at random where the cameras look."""
     background: BackgroundName | None = None
@@ -225,7 +225,7 @@ class Train:
         """
         most = {"max_gaussians": self.max_gaussians}
         if self.max_gaussians == "auto":
-            most = {} if self.recipe == "classic" else {"max_gaussians": room_for(dataset)}
+            most = {} if self.recipe in ("classic", "absgrad") else {"max_gaussians": room_for(dataset)}
         recipe = RECIPES[self.recipe](steps=self.steps, **most)
         start = recipe.initialization
         if self.init == "random":

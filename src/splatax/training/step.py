@@ -67,7 +67,7 @@ def _train_step(
 
     def project_view(gaussians):
         splats = project(gaussians, batch.camera, low_pass=recipe.low_pass, backend=recipe.backend)
-        return splats, recipe.prior(gaussians, state.extent)
+        return recipe.density.watch(splats), recipe.prior(gaussians, state.extent)
 
     (splats, prior), pull_back = jax.vjp(project_view, state.gaussians)
     loss, d_splats = jax.value_and_grad(image_loss)(splats)

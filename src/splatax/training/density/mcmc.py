@@ -58,6 +58,9 @@ class Mcmc:
     def init(self, capacity: int) -> tuple[()]:
         return ()
 
+    def watch(self, splats: Splats) -> Splats:
+        return splats
+
     def observe(self, state: tuple[()], splats: Splats, d_splats: Splats) -> tuple[()]:
         return state
 

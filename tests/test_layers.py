@@ -10,15 +10,20 @@ import splatax
 ROOT = Path(splatax.__file__).parent
 LAYERS = (  # lowest first; a package stands for all its modules
     {"math", "errors"},
-    {"gaussians", "splats", "camera", "dataset"},
+    {"gaussians", "splats", "camera", "dataset", "similarity"},
     {"native"},
     {"projection", "rasterizers", "losses", "metrics", "io"},
     {"rendering"},
-    {"training", "evaluation"},
+    {"training", "evaluation", "editing"},
     {"report", "demo", "bench"},
     {"cli"},
 )
-NEVER = {("training", "io"), ("io", "rasterizers"), ("io", "projection")}  # in reach, but not theirs
+NEVER = {
+    ("training", "io"),
+    ("io", "rasterizers"),
+    ("io", "projection"),
+    ("editing", "io"),
+}  # in reach, but not theirs
 OPTIONAL = {"beartype", "pytest", "skimage"}  # not installed with the product
 
 

@@ -10,6 +10,7 @@ from splatax.cli.bench import Bench
 from splatax.cli.demo import Demo
 from splatax.cli.doctor import Doctor
 from splatax.cli.evaluate import Evaluate
+from splatax.cli.export import Export
 from splatax.cli.platform import keep_compiled_programs, keep_freed_memory
 from splatax.cli.render import Render
 from splatax.cli.train import Train
@@ -19,6 +20,7 @@ Command = (
     Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Evaluate, tyro.conf.subcommand("eval")]
     | Annotated[Render, tyro.conf.subcommand("render")]
+    | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Demo, tyro.conf.subcommand("demo")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]

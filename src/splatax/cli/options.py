@@ -10,7 +10,7 @@ import jax
 import splatax as sx
 from splatax import rasterizers
 from splatax.errors import InputError
-from splatax.io.formats import ply
+from splatax.io import formats
 from splatax.projection import LOW_PASSES, LowPass
 from splatax.training.backgrounds import BACKGROUNDS
 
@@ -47,7 +47,7 @@ def read_model(path: Path, low_pass: str | None) -> Model:
             )
         path = path / "scene.ply"
     gaussians = sx.load(path)
-    marked = "SplatRenderMode: mip" in (ply.comments(path) if path.suffix.lower() == ".ply" else ())
+    marked = formats.MIP in formats.comments(path)
     name = low_pass or ("antialiasing" if marked else "dilation")
     try:
         options = json.loads((path.parent / "config.json").read_text())["options"]

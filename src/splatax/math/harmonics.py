@@ -8,6 +8,7 @@ Harmonic Evaluation").
 import math
 from typing import TypeVar
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -15,6 +16,7 @@ from jaxtyping import Array, Float
 AnyArray = TypeVar("AnyArray", Array, np.ndarray)
 
 MAX_DEGREE = 4
+SAMPLES = 64  # directions that a rotation is fitted at
 Y00 = 0.28209479177387814  # 1 / (2 sqrt(pi)): the constant harmonic
 
 
@@ -84,6 +86,31 @@ def degree_of_file(columns: int) -> int | None:
 def evaluate(sh: Float[Array, "k c"], direction: Float[Array, "3"]) -> Float[Array, " c"]:
     """The sum of coefficients times basis: what a Gaussian shows towards `direction`."""
     return basis(direction, degree_of(sh.shape[0])) @ sh
+
+
+def rotation(matrix: Float[np.ndarray, "3 3"], degree: int) -> Float[np.ndarray, "k k"]:
+    """The matrix that turns coefficients with the world: of sh' = M sh, with f'(R d) = f(d).
+
+    Bands do not mix (Wigner's D matrices stand along the diagonal). Each block follows from the
+    basis itself, at more directions than it has functions: Y(R^-1 d) = Y(d) M, solved in double
+    precision, and exact but for rounding, since a band is closed under rotation.
+
+    Args:
+        matrix: R, a rotation.
+        degree: of the coefficients.
+    """
+    z = (np.arange(SAMPLES) + 0.5) * 2 / SAMPLES - 1
+    angle = np.pi * (1 + 5**0.5) * np.arange(SAMPLES)  # a Fibonacci spiral
+    radius = np.sqrt(1 - z * z)
+    directions = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
+    with jax.enable_x64(True):
+        at = jax.vmap(lambda direction: basis(direction, degree))
+        here, there = (np.asarray(at(jnp.asarray(d))) for d in (directions, directions @ matrix))
+    blocks = np.zeros((count(degree), count(degree)))
+    for band in range(degree + 1):
+        columns = slice(band**2, (band + 1) ** 2)
+        blocks[columns, columns] = np.linalg.lstsq(here[:, columns], there[:, columns], rcond=None)[0]
+    return blocks
 
 
 def from_rgb(rgb: AnyArray) -> AnyArray:

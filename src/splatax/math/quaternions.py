@@ -11,6 +11,13 @@ def normalize(quat: Float[Array, "4"]) -> Float[Array, "4"]:
     return jnp.where(positive, quat / jnp.sqrt(jnp.where(positive, squared, 1)), 0)
 
 
+def multiply(a: Float[Array, "4"], b: Float[Array, "4"]) -> Float[Array, "4"]:
+    """The rotation `b`, and then `a` (Hamilton's product)."""
+    w, x, y, z = a
+    left = jnp.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+    return left @ b
+
+
 def to_rotation(quat: Float[Array, "4"]) -> Float[Array, "3 3"]:
     """The rotation matrix of any non-zero quaternion, which need not be unit. Zero gives identity."""
     w, x, y, z = normalize(quat)

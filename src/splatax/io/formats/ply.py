@@ -1,4 +1,4 @@
-"""INRIA's .ply, which every splatting tool reads; and SuperSplat's compressed .ply, reading alone.
+"""INRIA's .ply, which every splatting tool reads. (SuperSplat's compressed .ply is recognised too.)
 
     x y z  nx ny nz  f_dc_0..2  f_rest_0..(3K-1)  opacity  scale_0..2  rot_0..3         all float32
 
@@ -6,18 +6,16 @@ Opacity is a logit, scales are logarithms, rotations are (w, x, y, z). `f_rest` 
 all K higher coefficients of red, then of green, then of blue. Normals are zeros. Lossless.
 """
 
-import warnings
-from dataclasses import replace
 from pathlib import Path
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from splatax.errors import FormatError
 from splatax.gaussians import Gaussians
 from splatax.io.formats import compressed_ply, ply_table
+from splatax.io.formats.tolerance import Tolerance
 from splatax.math import harmonics
 
 POSITION = ("x", "y", "z")
@@ -27,6 +25,10 @@ RGB = ("red", "green", "blue")
 OPACITY = ("opacity",)
 SCALE = ("scale_0", "scale_1", "scale_2")
 ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
+
+MAX_SH_DEGREE = 4
+LOSES = "Nothing: every number is kept, bit by bit."
+TOLERANCE = Tolerance()
 
 
 def load(path: Path) -> Gaussians:
@@ -69,7 +71,7 @@ def load(path: Path) -> Gaussians:
 
 
 def save(path: Path, gaussians: Gaussians, *, comments: tuple[str, ...] = ()) -> None:
-    """Writes all Gaussians that are finite and not empty slots; see `formats.save`."""
+    """Writes Gaussians; see `formats.save`."""
     fields = {
         POSITION: np.asarray(gaussians.means),
         NORMAL: np.zeros((len(gaussians), 3), np.float32),
@@ -80,25 +82,14 @@ def save(path: Path, gaussians: Gaussians, *, comments: tuple[str, ...] = ()) ->
         ROTATION: np.asarray(gaussians.quats),
     }
     names = [name for group in fields for name in group]
-    values = np.concatenate(list(fields.values()), axis=1).astype("<f4")[_written(path, gaussians)]
-    rows = np.ascontiguousarray(values).view([(name, "<f4") for name in names])[:, 0]
-    ply_table.write(path, "vertex", rows, (*comments, f"SH degree: {gaussians.sh_degree}"))
+    values = np.ascontiguousarray(np.concatenate(list(fields.values()), axis=1), "<f4")
+    rows = values.view([(name, "<f4") for name in names])[:, 0]
+    ply_table.write(path, {"vertex": rows}, (*comments, f"SH degree: {gaussians.sh_degree}"))
 
 
 def comments(path: Path) -> tuple[str, ...]:
     """The comments in the header."""
     return ply_table.read(path).comments
-
-
-def _written(path: Path, gaussians: Gaussians) -> Bool[np.ndarray, " n"]:
-    """The rows to write. A scale of zero (-inf) is flat, not broken: readers know it."""
-    flat = replace(gaussians, log_scales=jnp.maximum(gaussians.log_scales, -100.0))
-    leaves = [np.asarray(leaf).reshape(len(gaussians), -1) for leaf in jax.tree.leaves(flat)]
-    finite = np.all([np.isfinite(leaf).all(axis=1) for leaf in leaves], axis=0)
-    empty = np.isneginf(np.asarray(gaussians.opacity_logits))
-    if broken := int(np.sum(~finite & ~empty)):
-        warnings.warn(f"{path}: left out {broken:,} Gaussians that are not finite", stacklevel=4)
-    return finite & ~empty
 
 
 def _rest_names(coefficients: int) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ TYPES = {
     "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
     "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
 }  # fmt: skip
+NAMES = {"f4": "float", "u4": "uint", "u1": "uchar"}  # of the types that are written
 ENDIANNESS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
 LONGEST_HEADER = 1 << 20  # bytes; a file without an end_header is not read to its end
 
@@ -42,9 +43,12 @@ def read(path: Path) -> PlyTable:
         for name, count, fields in layout:
             if fields is None:
                 break
-            order = ENDIANNESS[form]
-            dtype = np.dtype([(column, order + kind) for column, kind in fields])
+            if not fields:
+                continue
+            dtype = np.dtype([(column, ENDIANNESS[form] + kind) for column, kind in fields])
             if form == "ascii":
+                if len(fields) * count > remaining:  # not even a digit for each number
+                    raise FormatError(f"{path}: truncated: {count:,} {name} rows do not fit in this file.")
                 elements[name] = _read_text(path, file, name, count, dtype)
                 continue
             remaining -= count * dtype.itemsize
@@ -57,14 +61,15 @@ def read(path: Path) -> PlyTable:
     return PlyTable(comments, elements)
 
 
-def write(path: Path, element: str, rows: np.ndarray, comments: tuple[str, ...]) -> None:
-    """Writes one element of little-endian floats, whole or not at all."""
+def write(path: Path, elements: dict[str, np.ndarray], comments: tuple[str, ...]) -> None:
+    """Writes structured arrays as elements, little-endian, whole or not at all."""
     header = ["ply", "format binary_little_endian 1.0", *(f"comment {line}" for line in comments)]
-    header += [
-        f"element {element} {len(rows)}",
-        *(f"property float {name}" for name in rows.dtype.names or ()),
-    ]
-    write_whole(path, "\n".join([*header, "end_header", ""]).encode() + rows.tobytes())
+    for element, rows in elements.items():
+        header.append(f"element {element} {len(rows)}")
+        columns = (rows.dtype.fields or {}).items()
+        header += [f"property {NAMES[column[0].str[1:]]} {name}" for name, column in columns]
+    body = (rows.tobytes() for rows in elements.values())
+    write_whole(path, b"".join(["\n".join([*header, "end_header", ""]).encode(), *body]))
 
 
 def _header_of(path: Path, beginning: bytes) -> tuple[list[str], int]:
@@ -88,12 +93,14 @@ def _parse(path: Path, lines: list[str]):
                 pass
             case ["comment", *words]:
                 comments.append(" ".join(words))
-            case ["element", name, count] if count.isdigit():
+            case ["element", name, count] if count.isdecimal() and len(count) < 19:
                 layout.append((name, int(count), []))
             case ["property", "list", *_] if layout:
                 layout[-1] = (layout[-1][0], layout[-1][1], None)
             case ["property", kind, name] if layout and kind in TYPES:
                 if (fields := layout[-1][2]) is not None:
+                    if name in dict(fields):
+                        raise FormatError(f"{path}: not a valid PLY header: two properties {name!r}.")
                     fields.append((name, TYPES[kind]))
             case [] | ["obj_info", *_]:
                 pass

@@ -1,0 +1,63 @@
+"""Several scenes as one, upright, and with fewer harmonics."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from splatax.camera import Camera
+from splatax.errors import InputError
+from splatax.gaussians import Gaussians
+from splatax.math import harmonics
+from splatax.similarity import Similarity
+
+UP = np.array([0.0, -1.0, 0.0])  # in the files that viewers expect: y points down, as in a camera
+LEAST_AGREEMENT = 0.2  # length of the mean of the cameras' unit up vectors
+
+
+def merge(scenes: Sequence[Gaussians]) -> Gaussians:
+    """All Gaussians of scenes in one frame; those with fewer harmonics get zeros."""
+    most = max(scene.sh.shape[1] for scene in scenes)
+    padded = [
+        replace(scene, sh=jnp.pad(scene.sh, ((0, 0), (0, most - scene.sh.shape[1]), (0, 0))))
+        for scene in scenes
+    ]
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *padded)
+
+
+def reduce_degree(gaussians: Gaussians, degree: int) -> Gaussians:
+    """Without the harmonics above a degree. One that is higher than the scene's changes nothing."""
+    return replace(gaussians, sh=gaussians.sh[:, : harmonics.count(degree)])
+
+
+def up_of(cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
+    """The mean of where cameras have their top, of length one: people hold them upright.
+
+    Raises:
+        InputError: if they were held in all ways.
+    """
+    mean = -np.mean([np.asarray(camera.rotation, np.float64)[1] for camera in cameras], axis=0)
+    length = float(np.linalg.norm(mean))
+    if length < LEAST_AGREEMENT:
+        raise InputError(
+            "--up auto: the cameras were held in all directions, so none is up. Turn the scene with --rotate."
+        )
+    return mean / length
+
+
+def level(cameras: Sequence[Camera]) -> Similarity:
+    """The least rotation that puts a scene upright, as its cameras saw it: up becomes -y.
+
+    Raises:
+        InputError: if the cameras do not agree on what is up.
+    """
+    up = up_of(cameras)
+    axis = np.cross(up, UP)
+    sine = float(np.linalg.norm(axis))
+    axis = axis / sine if sine > 1e-9 else np.array([1.0, 0.0, 0.0])  # upside down: any horizontal axis
+    angle = np.arctan2(sine, up @ UP)
+    return Similarity(Rotation.from_rotvec(angle * axis).as_matrix(), np.zeros(3))

@@ -1,0 +1,150 @@
+"""glTF's .glb with the extension KHR_gaussian_splatting: a mesh of points with more attributes.
+
+    POSITION  COLOR_0  KHR_gaussian_splatting:ROTATION (x, y, z, w)  :SCALE  :OPACITY  :SH_DEGREE_l_COEF_n
+
+Scales are linear and opacities in [0, 1] (drafts before spring 2026 had logarithms of scales:
+KhronosGroup/glTF#2563). glTF is left-up-forward, ours right-down-forward: half a turn around z.
+COLOR_0 is for viewers that know points alone.
+"""
+
+import json
+import struct
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from splatax.gaussians import Gaussians
+from splatax.io.files import write_whole
+from splatax.io.formats import glb_scene, packing
+from splatax.io.formats.glb_scene import EXTENSION
+from splatax.io.formats.tolerance import Tolerance
+from splatax.io.formats.untrusted import structured
+from splatax.math import harmonics
+from splatax.similarity import half_turn
+
+FLOAT, UNSIGNED_BYTE = 5126, 5121  # glTF's names of types
+VERTICES = 34962  # of a buffer's use
+KINDS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
+
+MAX_SH_DEGREE = 3
+LOSES = "Nothing but rounding: opacities and scales are stored as such, not as logits and logarithms."
+TOLERANCE = Tolerance(degrees=1e-3, log_scales=1e-5, opacities=1e-6)
+
+
+def load(path: Path) -> Gaussians:
+    """Reads all splats of a file's scene, each at its node's place.
+
+    Raises:
+        FormatError: if it is damaged, or has none.
+    """
+    with structured(path, "glb"):
+        gltf, buffer = glb_scene.chunks(path)
+        parts = [
+            place.transform(_gaussians(glb_scene.accessors(path, gltf, buffer, primitive)))
+            for primitive, place in glb_scene.splats(path, gltf)
+        ]
+        most = max(part.sh.shape[1] for part in parts)
+        padding = [((0, 0), (0, most - part.sh.shape[1]), (0, 0)) for part in parts]
+        parts = [replace(part, sh=jnp.pad(part.sh, p)) for part, p in zip(parts, padding, strict=True)]
+        return half_turn(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts), axis=2)
+
+
+def comments(path: Path) -> tuple[str, ...]:
+    """The lines that `save` kept in the file's extras."""
+    with structured(path, "glb"):
+        asset = glb_scene.chunks(path)[0].get("asset", {})
+        return tuple(str(line) for line in asset.get("extras", {}).get("comments", ()))
+
+
+def save(path: Path, gaussians: Gaussians, *, comments: tuple[str, ...] = ()) -> None:
+    """Writes float32 attributes of one mesh."""
+    gaussians = half_turn(gaussians, axis=2)
+    attributes = _attributes(gaussians)
+    accessors: list[dict[str, Any]] = []
+    views: list[dict[str, Any]] = []
+    parts, offset = [], 0
+    for name, values in attributes.items():
+        accessor: dict[str, Any] = {
+            "bufferView": len(views),
+            "count": len(values),
+            "type": KINDS[values.shape[1]],
+        }
+        accessor["componentType"] = UNSIGNED_BYTE if values.dtype == np.uint8 else FLOAT
+        if values.dtype == np.uint8:
+            accessor["normalized"] = True
+        if name == "POSITION" and len(values):
+            accessor |= {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
+        accessors.append(accessor)
+        views.append({"buffer": 0, "byteOffset": offset, "byteLength": values.nbytes, "target": VERTICES})
+        parts.append(values.tobytes())
+        offset += values.nbytes  # all are multiples of 4
+    properties = {
+        "kernel": "ellipse",
+        "colorSpace": "srgb_rec709_display",
+        "sortingMethod": "cameraDistance",
+        "projection": "perspective",
+    }
+    primitive = {
+        "attributes": {name: i for i, name in enumerate(attributes)},
+        "mode": 0,
+        "extensions": {EXTENSION: properties},
+    }
+    gltf = {
+        "asset": {"version": "2.0", "generator": "splatax", "extras": {"comments": list(comments)}},
+        "extensionsUsed": [EXTENSION],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [primitive]}],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": offset}],
+    }
+    text = json.dumps(gltf, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    length = 12 + 8 + len(text) + 8 + offset
+    head = struct.pack("<4sII", b"glTF", 2, length) + struct.pack("<I4s", len(text), b"JSON") + text
+    write_whole(path, b"".join([head, struct.pack("<I4s", offset, b"BIN\0"), *parts]))
+
+
+def _attributes(gaussians: Gaussians) -> dict[str, np.ndarray]:
+    sh = np.asarray(gaussians.sh)
+    opacities = np.asarray(gaussians.opacities)[:, None]
+    rgb = packing.levels(harmonics.to_rgb(sh[:, 0]), 255).astype("u1")
+    attributes = {
+        "POSITION": np.asarray(gaussians.means),
+        "COLOR_0": np.concatenate([rgb, packing.levels(opacities, 255).astype("u1")], axis=1),
+        f"{EXTENSION}:ROTATION": packing.unit(np.asarray(gaussians.quats))[:, [1, 2, 3, 0]],
+        f"{EXTENSION}:SCALE": np.asarray(gaussians.scales),
+        f"{EXTENSION}:OPACITY": opacities,
+    }
+    for band in range(gaussians.sh_degree + 1):
+        for i in range(2 * band + 1):
+            attributes[f"{EXTENSION}:SH_DEGREE_{band}_COEF_{i}"] = sh[:, band**2 + i]
+    return {
+        name: values if values.dtype == np.uint8 else np.ascontiguousarray(values, "<f4")
+        for name, values in attributes.items()
+    }
+
+
+def _gaussians(attributes: dict[str, np.ndarray]) -> Gaussians:
+    coefficients = []
+    for band in range(MAX_SH_DEGREE + 1):
+        names = [f"{EXTENSION}:SH_DEGREE_{band}_COEF_{i}" for i in range(2 * band + 1)]
+        if names[0] in attributes:
+            coefficients += [attributes[name] for name in names]
+    with np.errstate(divide="ignore"):
+        log_scales = np.log(attributes[f"{EXTENSION}:SCALE"])
+    opacities = attributes[f"{EXTENSION}:OPACITY"][:, 0].astype(np.float64)
+    opacities = np.clip(opacities, 1e-7, 1 - 1e-7)  # a logit must stay finite
+    return Gaussians(
+        means=jnp.asarray(attributes["POSITION"]),
+        quats=jnp.asarray(attributes[f"{EXTENSION}:ROTATION"][:, [3, 0, 1, 2]]),
+        log_scales=jnp.asarray(log_scales),
+        opacity_logits=jnp.asarray(np.log(opacities / (1 - opacities)), jnp.float32),
+        sh=jnp.asarray(np.stack(coefficients, axis=1)),
+    )

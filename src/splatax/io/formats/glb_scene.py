@@ -1,0 +1,130 @@
+"""What lies where in a .glb: its chunks, the places of its splats, and the arrays behind accessors."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from splatax.errors import FormatError
+from splatax.io.formats.untrusted import Cursor
+from splatax.similarity import Similarity
+
+EXTENSION = "KHR_gaussian_splatting"
+PREFIXES = ("POSITION", f"{EXTENSION}:")
+TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5126: "<f4"}
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+MAX_NODES = 10_000  # that are visited: nodes may not form a circle, but a damaged file's may
+
+
+def chunks(path: Path) -> tuple[dict[str, Any], bytes]:
+    """The JSON and the binary chunk.
+
+    Raises:
+        FormatError: if it is no .glb file of version 2, or truncated.
+    """
+    cursor = Cursor(path, path.read_bytes())
+    magic, version, length = cursor.take("header", "<u4", 3).tolist()
+    if magic != 0x46546C67 or version != 2:
+        raise FormatError(f"{path}: not a .glb file of glTF 2.0. Give a file that was saved as .glb.")
+    if length > len(cursor.contents):
+        raise FormatError(
+            f"{path}: truncated: {length - len(cursor.contents):,} of {length:,} bytes are missing."
+        )
+    found: dict[bytes, bytes] = {}
+    while cursor.at + 8 <= length:
+        size = int(cursor.take("chunk", "<u4", 1)[0])
+        kind = cursor.take("chunk", "u1", 4).tobytes()
+        found.setdefault(kind, cursor.take("chunk", "u1", size).tobytes())
+    return json.loads(found[b"JSON"]), found.get(b"BIN\0", b"")
+
+
+def splats(path: Path, gltf: dict[str, Any]) -> list[tuple[dict[str, Any], Similarity]]:
+    """The primitives with splats in the scene, and the places of their nodes.
+
+    Raises:
+        FormatError: if there are none, or they are kept in a way that splatax does not know.
+    """
+    found = []
+    for node, place in _nodes(path, gltf):
+        if "mesh" not in node:
+            continue
+        for primitive in gltf["meshes"][node["mesh"]]["primitives"]:
+            if (own := primitive.get("extensions", {}).get(EXTENSION)) is None:
+                continue
+            if own.get("extensions") or f"{EXTENSION}:SCALE" not in primitive["attributes"]:
+                names = ", ".join(own.get("extensions", {})) or "an unknown extension"
+                raise FormatError(
+                    f"{path}: its splats are compressed ({names}), which splatax does not read."
+                )
+            found.append((primitive, place))
+    if not found:
+        raise FormatError(f"{path}: no splats: none of its meshes has the extension {EXTENSION}.")
+    return found
+
+
+def accessors(
+    path: Path, gltf: dict[str, Any], buffer: bytes, primitive: dict[str, Any]
+) -> dict[str, np.ndarray]:
+    """The arrays of a primitive's attributes that splats are made of, as float32 of n rows."""
+    return {
+        name: _accessor(path, gltf, buffer, gltf["accessors"][index])
+        for name, index in primitive["attributes"].items()
+        if name.startswith(PREFIXES)
+    }
+
+
+def _nodes(path: Path, gltf: dict[str, Any]) -> Iterator[tuple[dict[str, Any], Similarity]]:
+    nodes = gltf["nodes"]
+    scene = gltf.get("scenes", [{"nodes": range(len(nodes))}])[gltf.get("scene", 0)]
+    waiting = [(index, Similarity.of()) for index in scene["nodes"]]
+    for _ in range(MAX_NODES):
+        if not waiting:
+            return
+        index, parent = waiting.pop()
+        place = parent.after(_place(nodes[index]))
+        yield nodes[index], place
+        waiting += [(child, place) for child in nodes[index].get("children", ())]
+    raise FormatError(f"{path}: damaged: its nodes form a circle, or are more than {MAX_NODES:,}.")
+
+
+def _place(node: dict[str, Any]) -> Similarity:
+    """Of a node in its parent. Splats cannot be sheared or stretched along one axis alone."""
+    if "matrix" in node:
+        matrix = np.array(node["matrix"], np.float64).reshape(4, 4).T
+        scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
+        return Similarity(matrix[:3, :3] / scale, matrix[:3, 3], scale)
+    scales = np.array(node.get("scale", (1, 1, 1)), np.float64)
+    if not np.allclose(scales, scales[0]):
+        raise ValueError(f"a node is scaled by {scales.tolist()}, not by the same along all axes")
+    rotation = Rotation.from_quat(node.get("rotation", (0, 0, 0, 1))).as_matrix()
+    return Similarity(rotation, np.array(node.get("translation", (0, 0, 0)), np.float64), float(scales[0]))
+
+
+def _accessor(path: Path, gltf: dict[str, Any], buffer: bytes, accessor: dict[str, Any]) -> np.ndarray:
+    view = gltf["bufferViews"][accessor["bufferView"]]
+    if accessor.get("sparse") or view.get("buffer", 0) != 0 or "uri" in gltf["buffers"][0]:
+        raise FormatError(f"{path}: keeps numbers outside the file or sparsely, which splatax does not read.")
+    dtype, width, count = (
+        np.dtype(TYPES[accessor["componentType"]]),
+        WIDTHS[accessor["type"]],
+        accessor["count"],
+    )
+    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+    stride = view.get("byteStride", width * dtype.itemsize)
+    if min(count, start, stride - width * dtype.itemsize) < 0:
+        raise FormatError(f"{path}: damaged: an accessor with a negative size.")
+    cursor = Cursor(path, buffer, start)
+    if count:  # the last row need not be followed by the rest of its stride
+        cursor.take("vertices", "u1", stride * (count - 1) + width * dtype.itemsize)
+    rows = (
+        np.ndarray((count, width), dtype, buffer, start, (stride, dtype.itemsize))
+        if count
+        else np.zeros((0, width))
+    )
+    values = rows.astype(np.float32)
+    if accessor.get("normalized"):
+        values = np.maximum(values / np.iinfo(dtype).max, -1)
+    return values

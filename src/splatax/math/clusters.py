@@ -1,0 +1,109 @@
+"""Few numbers or vectors to stand for many: codebooks, by k-means (Lloyd 1982)."""
+
+import numpy as np
+from jaxtyping import Float, Int
+
+GROUP = 256  # clusters of the first level, and about the size of groups of the second
+SAMPLE = 20_000  # vectors that the first level is made from
+
+
+def codebook(
+    values: Float[np.ndarray, " n"], size: int, *, rounds: int = 30
+) -> tuple[Float[np.ndarray, " size"], Int[np.ndarray, " n"]]:
+    """At most `size` numbers, increasing, that stand for `values`; and which of them each value takes.
+
+    Begins with the spacing that is best for many levels, density^(1/3) (Panter and Dite 1951).
+    Sorted values make a round of Lloyd's algorithm a few binary searches and sums.
+    """
+    ordered = np.sort(values.astype(np.float64))
+    distinct = ordered[np.concatenate([[True], np.diff(ordered) > 0])]
+    if len(distinct) <= size:
+        centres = np.concatenate([distinct, np.full(size - len(distinct), distinct[-1])])
+        return centres.astype(np.float32), np.searchsorted(distinct, values.astype(np.float64))
+    density, edges = np.histogram(ordered, bins=8 * size)
+    share = np.concatenate([[0], np.cumsum(np.cbrt(density))])
+    centres = np.interp((np.arange(size) + 0.5) / size * share[-1], share, edges)
+    sums = np.concatenate([[0], np.cumsum(ordered)])
+    for _ in range(rounds):
+        between = (centres[1:] + centres[:-1]) / 2
+        ends = np.concatenate([[0], np.searchsorted(ordered, between), [len(ordered)]])
+        counts = np.diff(ends)
+        centres = np.sort(np.where(counts > 0, np.diff(sums[ends]) / np.maximum(counts, 1), centres))
+    return centres.astype(np.float32), np.searchsorted((centres[1:] + centres[:-1]) / 2, values)
+
+
+def palette(
+    vectors: Float[np.ndarray, "n d"], size: int, *, rounds: int = 8, seed: int = 0
+) -> tuple[Float[np.ndarray, "size d"], Int[np.ndarray, " n"]]:
+    """At most `size` vectors that stand for `vectors`; and which of them each takes.
+
+    In two levels, which cost n (256 + size / 256) distances a round in place of n size: vectors are
+    first put in 256 groups, then each group gets entries by its share of the squared error.
+    """
+    rng = np.random.default_rng(seed)
+    n = len(vectors)
+    if n <= size:
+        return np.concatenate([vectors, np.zeros((size - n, vectors.shape[1]), vectors.dtype)]), np.arange(n)
+    groups = min(GROUP, max(1, size // GROUP))
+    sample = vectors[rng.choice(n, min(n, SAMPLE), replace=False)]
+    coarse = _lloyd(sample, groups, rounds, rng)
+    group_of = nearest(vectors, coarse)
+    error = np.sum(np.square(vectors - coarse[group_of]), axis=1)
+    counts = np.bincount(group_of, minlength=groups)
+    entries = _shares(np.bincount(group_of, error, groups), counts, size)
+
+    centres = np.zeros((size, vectors.shape[1]), np.float32)
+    labels = np.zeros(n, int)
+    first = 0
+    for group in range(groups):
+        rows = np.flatnonzero(group_of == group)
+        if len(rows) == 0:
+            continue
+        own = _lloyd(vectors[rows], int(entries[group]), rounds, rng)
+        centres[first : first + len(own)] = own
+        labels[rows] = first + nearest(vectors[rows], own)
+        first += len(own)
+    return centres, labels
+
+
+def nearest(vectors: Float[np.ndarray, "n d"], centres: Float[np.ndarray, "k d"]) -> Int[np.ndarray, " n"]:
+    """The index of the centre that is nearest to each vector."""
+    half = np.sum(np.square(centres), axis=1) / 2
+    chunk = max(1, (1 << 24) // max(1, len(centres)))  # 64 MB of distances at a time
+    parts = [
+        np.argmin(half - vectors[start : start + chunk] @ centres.T, axis=1)
+        for start in range(0, len(vectors), chunk)
+    ]
+    return np.concatenate(parts) if parts else np.zeros(0, int)
+
+
+def _lloyd(vectors: np.ndarray, size: int, rounds: int, rng: np.random.Generator) -> np.ndarray:
+    """At most `size` centres of vectors; those that lose all their vectors move to the worst served."""
+    if len(vectors) <= size:
+        return vectors
+    centres = vectors[rng.choice(len(vectors), size, replace=False)]
+    for _ in range(rounds):
+        labels = nearest(vectors, centres)
+        counts = np.bincount(labels, minlength=size)
+        order = np.argsort(labels, kind="stable")
+        used = np.flatnonzero(counts)
+        sums = np.add.reduceat(vectors[order], (np.cumsum(counts) - counts)[used], axis=0)
+        idle = np.flatnonzero(counts == 0)
+        centres[used] = sums / counts[used, None]
+        if len(idle):
+            errors = np.sum(np.square(vectors - centres[labels]), axis=1)
+            centres[idle] = vectors[np.argsort(-errors)[: len(idle)]]
+    return centres
+
+
+def _shares(errors: np.ndarray, counts: np.ndarray, size: int) -> np.ndarray:
+    """Entries for each group: at least one, at most one for each vector, otherwise as its error."""
+    least = (counts > 0).astype(float)
+    shares = least.copy()
+    for _ in range(20):  # what a full group cannot take goes to the others
+        open_ = (shares < counts) & (errors > 0)
+        left = size - shares.sum()
+        if left < 1 or not open_.any():
+            break
+        shares = np.minimum(shares + np.where(open_, errors, 0) / errors[open_].sum() * left, counts)
+    return np.maximum(np.floor(shares), least).astype(int)

@@ -1,0 +1,89 @@
+"""A scene that is turned, scaled and moved shows a camera that goes along the same picture."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.spatial.transform import Rotation
+
+import splatax as sx
+from scenes import camera_at, random_gaussians
+from splatax.math import harmonics
+from splatax.similarity import Similarity, half_turn
+
+PLACES = [
+    Similarity.of(degrees=(20.0, -50.0, 130.0), scale=2.5, move=(3.0, -1.0, 0.5)),
+    Similarity.of(degrees=(0.0, 0.0, 90.0)),
+    Similarity.of(scale=0.1),
+    Similarity(Rotation.random(rng=np.random.default_rng(0)).as_matrix(), np.array([-1.0, 2.0, 3.0]), 1.3),
+]
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("degree", range(5))
+def test_the_picture_stays(place, degree):
+    gaussians = random_gaussians(n=150, degree=degree)
+    camera = camera_at((1.0, -2.0, -3.0), size=(48, 40), focal=40.0)
+    before = sx.render(gaussians, camera)
+    after = sx.render(place.transform(gaussians), place.transform_camera(camera))
+    assert before.rgb.std() > 0.1
+    assert_allclose(after.rgb, before.rgb, atol=2e-3)  # float32 through other coordinates
+    assert_allclose(after.depth, place.scale * before.depth, rtol=2e-3, atol=2e-3)
+
+
+@pytest.mark.parametrize("degree", range(5))
+def test_harmonics_turn_with_the_world(degree):
+    rng = np.random.default_rng(degree)
+    turn = Rotation.random(rng=rng).as_matrix()
+    blocks = harmonics.rotation(turn, degree)
+    sh = rng.normal(size=(harmonics.count(degree),))
+    with jax.enable_x64(True):
+        for direction in rng.normal(size=(20, 3)):
+            direction /= np.linalg.norm(direction)
+            here = harmonics.basis(jnp.asarray(direction), degree) @ sh
+            there = harmonics.basis(jnp.asarray(turn @ direction), degree) @ (blocks @ sh)
+            assert_allclose(there, here, atol=1e-12)
+
+
+def test_rotations_of_harmonics_are_orthogonal_and_compose():
+    a, b = (Rotation.random(rng=np.random.default_rng(i)).as_matrix() for i in range(2))
+    of_a, of_b, of_both = (harmonics.rotation(m, 4) for m in (a, b, a @ b))
+    assert_allclose(of_a @ of_a.T, np.eye(25), atol=1e-12)
+    assert_allclose(of_a @ of_b, of_both, atol=1e-12)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_half_turns_are_exact_and_undo_themselves(axis):
+    gaussians = random_gaussians(degree=4)
+    turned = half_turn(gaussians, axis)
+    degrees = tuple(180.0 * (i == axis) for i in range(3))
+    by_rotation = Similarity.of(degrees=degrees).transform(gaussians)
+    assert_allclose(turned.means, by_rotation.means, atol=1e-6)
+    assert_allclose(turned.covariances, by_rotation.covariances, atol=1e-6)
+    assert_allclose(turned.sh, by_rotation.sh, atol=1e-6)
+    for a, b in zip(jax.tree.leaves(half_turn(turned, axis)), jax.tree.leaves(gaussians), strict=True):
+        assert_array_equal(a, b)
+
+
+def test_one_place_after_another_is_both():
+    gaussians = random_gaussians(n=20)
+    first, second = PLACES[0], PLACES[3]
+    step_by_step = second.transform(first.transform(gaussians))
+    at_once = second.after(first).transform(gaussians)
+    assert_allclose(at_once.means, step_by_step.means, atol=1e-5)
+    assert_allclose(at_once.covariances, step_by_step.covariances, rtol=1e-3, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("rotation", "scale", "message"),
+    [
+        (np.diag([1.0, 1.0, -1.0]), 1.0, "mirror"),
+        (np.diag([1.0, 1.0, 2.0]), 1.0, "not a rotation"),
+        (np.eye(3), 0.0, "scale > 0"),
+        (np.eye(3), np.inf, "finite"),
+    ],
+)
+def test_what_is_no_similarity_is_refused(rotation, scale, message):
+    with pytest.raises(ValueError, match=message):
+        Similarity(rotation, np.zeros(3), scale)

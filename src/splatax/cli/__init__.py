@@ -11,6 +11,7 @@ from splatax.cli.demo import Demo
 from splatax.cli.doctor import Doctor
 from splatax.cli.evaluate import Evaluate
 from splatax.cli.export import Export
+from splatax.cli.page import Page
 from splatax.cli.platform import keep_compiled_programs, keep_freed_memory
 from splatax.cli.render import Render
 from splatax.cli.train import Train
@@ -21,6 +22,7 @@ Command = (
     | Annotated[Evaluate, tyro.conf.subcommand("eval")]
     | Annotated[Render, tyro.conf.subcommand("render")]
     | Annotated[Export, tyro.conf.subcommand("export")]
+    | Annotated[Page, tyro.conf.subcommand("page")]
     | Annotated[Demo, tyro.conf.subcommand("demo")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]

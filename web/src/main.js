@@ -5,6 +5,7 @@ import { Pose } from './pose.js';
 import { Stage } from './stage.js';
 
 const LONGEST_FRAME = 0.1; // seconds: motion does not jump after a pause
+const GLIDE = matchMedia('(prefers-reduced-motion: reduce)').matches ? 0 : 0.8; // seconds from camera to camera
 const find = (id) => document.getElementById(id);
 const page = JSON.parse(find('page').textContent);
 const cameras = page.cameras.map((camera) => Pose.of(camera));
@@ -26,12 +27,11 @@ class Viewer {
     let before = performance.now();
     let idle = 0;
     const frame = (now) => {
-      const milliseconds = now - before;
+      const moving = this.#advance(Math.min((now - before) / 1000, LONGEST_FRAME));
       before = now;
-      const moving = this.#advance(Math.min(milliseconds / 1000, LONGEST_FRAME));
       idle = moving ? 0 : idle + 1;
-      this.stage.draw(this.pose, idle < 6, milliseconds);
-      this.settled = idle > 8 && this.stage.settled;
+      this.stage.draw(this.pose, idle < 6);
+      this.settled = this.stage.settled;
       if (this.settled) find('loading').hidden = true;
       requestAnimationFrame(frame);
     };
@@ -41,12 +41,12 @@ class Viewer {
   /** Goes to the camera of that index; past the last comes the first. */
   show(index) {
     this.shown = (index + cameras.length) % cameras.length;
-    this.#move(new Glide(this.pose, cameras[this.shown]));
+    this.#move(new Glide(this.pose, cameras[this.shown], GLIDE));
   }
 
   reset() {
     this.shown = page.start.camera;
-    this.#move(new Glide(this.pose, start));
+    this.#move(new Glide(this.pose, start, GLIDE));
   }
 
   play() {

@@ -2,22 +2,21 @@
 import { Vector3 } from 'three';
 import { blend } from './pose.js';
 
-const GLIDE = 0.8; // seconds from one camera to another
 const TURNTABLE = 0.25; // radians a second
 const LONGEST = 60; // seconds that a path may take
 const NEAR = 3; // steps: ends of a path that are as near are joined
 const UP = new Vector3(0, 1, 0);
 
-/** From where one is to a pose. */
+/** From where one is to a pose, within some seconds. */
 export class Glide {
-  constructor(start, end) {
-    Object.assign(this, { start: start.clone(), end, seconds: 0, done: false });
+  constructor(start, end, duration) {
+    Object.assign(this, { start: start.clone(), end, duration, seconds: 0, done: false });
   }
 
   advance(_, seconds) {
     this.seconds += seconds;
-    const t = Math.min(this.seconds / GLIDE, 1);
-    this.done = t === 1;
+    this.done = this.seconds >= this.duration;
+    const t = this.seconds / this.duration;
     const eased = t * t * (3 - 2 * t);
     return this.done ? this.end.clone() : blend([this.start, this.end], [1 - eased, eased]);
   }

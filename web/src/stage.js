@@ -10,10 +10,13 @@ const SLOW = 45; // milliseconds a frame; "auto" then draws fewer pixels while s
 
 export class Stage {
   quality = 'auto';
+  settled = false; // whether the picture is final for the last pose
   #reduced = 1; // what "auto" has come to
   #frames = [];
   #drawn = '';
   #size = '';
+  #fence = null; // passed when the device has drawn the last frame
+  #began = 0;
 
   constructor(canvas, { background, lowPass, near }) {
     this.near = near;
@@ -46,25 +49,42 @@ export class Stage {
     this.dirty = true;
   }
 
-  /** Draws if something has changed: the pose, the window, or Spark has sorted anew. */
-  draw(pose, moving, milliseconds) {
-    if (moving) this.#judge(milliseconds);
+  /**
+   * Draws if something has changed: the pose, the window, or Spark has sorted anew. Leaves it for
+   * the next frame while the device is still busy with the last one: input then never lags behind.
+   */
+  draw(pose, moving) {
     const { clientWidth: width, clientHeight: height } = this.renderer.domElement;
     const ratio = this.#pixelRatio(moving);
-    const state = JSON.stringify([width, height, ratio, pose]);
+    const state = JSON.stringify([width, height, ratio, moving, pose]);
     const changed = state !== this.#drawn;
-    if (!(changed || this.dirty) || !width || !height) return;
+    this.settled = !changed && !moving && !this.dirty && !this.#busy(moving) && this.#sorted();
+    if (!(changed || this.dirty) || !width || !height || this.#busy(moving)) return;
     this.#resize(width, height, ratio);
     this.#place(pose, width / height);
     this.dirty = false;
     this.#drawn = state;
     if (!moving && changed) this.spark.update(this); // sorts even after the smallest turn
     this.renderer.render(this.scene, this.camera);
+    const gl = this.renderer.getContext();
+    this.#fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    this.#began = performance.now();
+    gl.flush();
   }
 
-  /** Whether the picture is final for the last pose. */
-  get settled() {
-    return !this.dirty && !this.spark.sorting && !this.spark.sortDirty && this.spark.activeSplats > 0;
+  /** Whether the device still draws the last frame. */
+  #busy(moving) {
+    if (!this.#fence) return false;
+    const gl = this.renderer.getContext();
+    if (gl.getSyncParameter(this.#fence, gl.SYNC_STATUS) !== gl.SIGNALED) return true;
+    gl.deleteSync(this.#fence);
+    this.#fence = null;
+    if (moving) this.#judge(performance.now() - this.#began);
+    return false;
+  }
+
+  #sorted() {
+    return !this.spark.sorting && !this.spark.sortDirty && this.spark.activeSplats > 0;
   }
 
   #resize(width, height, ratio) {

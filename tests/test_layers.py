@@ -12,10 +12,10 @@ LAYERS = (  # lowest first; a package stands for all its modules
     {"math", "errors"},
     {"gaussians", "splats", "camera", "dataset", "similarity"},
     {"native"},
-    {"projection", "rasterizers", "losses", "metrics", "io"},
+    {"projection", "rasterizers", "losses", "metrics", "lpips", "io"},
     {"rendering"},
     {"training", "evaluation", "editing"},
-    {"report", "demo", "bench", "web"},
+    {"report", "demo", "bench", "budget", "reconstruction", "inspection", "web"},
     {"cli"},
 )
 NEVER = {

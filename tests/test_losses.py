@@ -55,6 +55,49 @@ def test_weight_of_one_or_zero_leaves_a_single_term():
     assert_allclose(losses.Photometric(1.0)(image, photo), 1 - losses.ssim(image, photo), rtol=1e-6)
 
 
+def ragged(size=(23, 31)):
+    return jnp.asarray(np.random.default_rng(2).uniform(size=size) < 0.6)
+
+
+def test_masked_loss_gradient_matches_finite_differences(x64):
+    image, photo = pictures(dtype=np.float64)
+    mask = ragged()
+    loss = jax.jit(losses.Photometric())
+    gradient = jax.grad(loss)(image, photo, mask)
+    direction = jnp.asarray(np.random.default_rng(1).normal(size=image.shape))
+    step = 1e-6
+    finite = (loss(image + step * direction, photo, mask) - loss(image - step * direction, photo, mask)) / (
+        2 * step
+    )
+    assert_allclose(jnp.sum(gradient * direction), finite, rtol=1e-7)
+    assert_array_equal(gradient[~mask], 0)
+
+
+def test_what_lies_outside_the_mask_changes_neither_loss_nor_gradient():
+    image, photo = pictures()
+    mask = ragged()
+    loss = jax.value_and_grad(losses.Photometric())
+    value, gradient = loss(image, photo, mask)
+    for pair in (
+        (jnp.where(mask[..., None], image, 5), photo),
+        (image, jnp.where(mask[..., None], photo, 5)),
+    ):
+        other, other_gradient = loss(*pair, mask)
+        assert other == value
+        assert_array_equal(other_gradient, gradient)
+
+
+def test_masked_l1_is_the_mean_over_the_pixels_that_count():
+    image, photo = pictures()
+    mask = ragged()
+    expected = np.abs(image - photo)[np.asarray(mask)].mean()
+    assert_allclose(losses.Photometric(0.0)(image, photo, mask), expected, rtol=1e-6)
+    everything = jnp.ones((23, 31), bool)
+    assert_allclose(
+        losses.Photometric()(image, photo, everything), losses.Photometric()(image, photo), rtol=1e-6
+    )
+
+
 def test_psnr_is_of_8_bit_images():
     photo = np.full((12, 12, 3), 100, np.uint8)
     assert_allclose(metrics.psnr(photo + 1, photo), 20 * np.log10(255))

@@ -1,14 +1,18 @@
 """A capture in memory: views with their cameras, and points. Records alone, no reading of files."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from splatax.camera import Camera
+from splatax.errors import DatasetError
 
 Pixels = UInt8[np.ndarray, "_ _ 3"] | UInt8[np.ndarray, "_ _ 4"]
+Mask = Bool[np.ndarray, "_ _"]
 EXTENT_MARGIN = 1.1  # of the cameras' radius (authors' code of Kerbl et al. 2023)
 
 
@@ -20,11 +24,34 @@ class View:
         name: of the photo, unique in its data set.
         camera: of the same size as the photo.
         pixels: decodes the photo: 8-bit RGB, or RGBA with straight alpha.
+        mask: decodes which pixels count, for training and scores alike; None if all do.
     """
 
     name: str
     camera: Camera
     pixels: Callable[[], Pixels]
+    mask: Callable[[], Mask] | None = None
+
+
+def mask_of(view: View) -> Mask | None:
+    """Which pixels of a view count; None if all do.
+
+    Raises:
+        DatasetError: if the mask is not of the camera's size, or no pixel counts.
+    """
+    if view.mask is None:
+        return None
+    mask = view.mask()
+    height, width = mask.shape
+    if (width, height) != (view.camera.width, view.camera.height):
+        expected = f"{view.camera.width} x {view.camera.height}"
+        raise DatasetError(f"{view.name}: its mask has {width} x {height} pixels, its camera {expected}.")
+    if not mask.any():
+        raise DatasetError(
+            f"{view.name}: its mask is black all over, so nothing of the photo counts. Repair or delete the "
+            "mask, or remove the photo from the capture."
+        )
+    return mask
 
 
 @dataclass(frozen=True)
@@ -39,6 +66,23 @@ class PointCloud:
 
 
 @dataclass(frozen=True)
+class Survey:
+    """What a loader saw beside the views, for those who judge a capture. All may be empty.
+
+    Attributes:
+        files: the photo of each view on disk, by the view's name.
+        lenses: the camera of each as it was calibrated, in words.
+        unused: photos that lie with the others but have no pose.
+        errors: distances in pixels of the view between where points were seen and where they project.
+    """
+
+    files: dict[str, Path] = field(default_factory=dict)
+    lenses: dict[str, str] = field(default_factory=dict)
+    unused: tuple[str, ...] = ()
+    errors: dict[str, Float[np.ndarray, " _"]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class Dataset:
     """What a scene is trained on and judged by.
 
@@ -47,12 +91,16 @@ class Dataset:
         test: views held out; may be empty.
         points: from structure from motion; may be empty.
         notes: what the loader found, a line each, for people to read.
+        background: that photos with alpha are to be seen over; None where the capture does not say.
+        survey: what the loader saw beside the views.
     """
 
     train: tuple[View, ...]
     test: tuple[View, ...]
     points: PointCloud
     notes: tuple[str, ...] = ()
+    background: Literal["white"] | None = None
+    survey: Survey = field(default_factory=Survey)
 
     @property
     def views(self) -> tuple[View, ...]:

@@ -4,23 +4,43 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Bool, UInt8
 
 from splatax import metrics, rasterizers
 from splatax.camera import Camera
-from splatax.dataset import View
+from splatax.dataset import View, mask_of
+from splatax.errors import DatasetError, InputError
 from splatax.gaussians import Gaussians
+from splatax.lpips import Lpips
 from splatax.projection import Dilation, LowPass
 from splatax.rendering import render
+
+PROTOCOL = {  # how scores are made, in words
+    "images": "rounded to 8 bits, at the size they were loaded in",
+    "psnr": metrics.PSNR_PROTOCOL,
+    "corrected_psnr": metrics.CORRECTION_PROTOCOL,
+    "ssim": metrics.SSIM_PROTOCOL,
+    "masks": metrics.MASK_PROTOCOL,
+}
 
 
 @dataclass(frozen=True)
 class ViewScore:
-    """Of one view: PSNR in dB and SSIM, on 8-bit images."""
+    """Of one view, on 8-bit images.
+
+    Attributes:
+        name: of the view.
+        psnr: dB.
+        ssim: at most 1.
+        corrected_psnr: dB, after an affine map of the rendering's colours; see `metrics.color_corrected`.
+        lpips: 0 is best; None where it was not asked for.
+    """
 
     name: str
     psnr: float
     ssim: float
+    corrected_psnr: float
+    lpips: float | None = None
 
 
 @dataclass(frozen=True)
@@ -39,6 +59,22 @@ class Scores:
         """Mean over views of SSIM."""
         return float(np.mean([view.ssim for view in self.views]))
 
+    @property
+    def corrected_psnr(self) -> float:
+        """Mean over views of the colour-corrected PSNR, dB."""
+        return float(np.mean([view.corrected_psnr for view in self.views]))
+
+    @property
+    def lpips(self) -> float | None:
+        """Mean over views of LPIPS; None where it was not asked for."""
+        values = [view.lpips for view in self.views if view.lpips is not None]
+        return float(np.mean(values)) if values else None
+
+    @property
+    def worst(self) -> ViewScore:
+        """The view of lowest PSNR."""
+        return min(self.views, key=lambda view: view.psnr)
+
 
 def evaluate(
     gaussians: Gaussians,
@@ -47,8 +83,9 @@ def evaluate(
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
     low_pass: LowPass = Dilation(),
     backend: str = rasterizers.AUTO,
+    lpips: Lpips | None = None,
 ) -> Scores:
-    """Renders each view and compares it with its photo.
+    """Renders each view and compares it with its photo, where its mask lets it count.
 
     Args:
         gaussians: the scene.
@@ -56,13 +93,41 @@ def evaluate(
         background: RGB.
         low_pass: the one that the scene was trained with.
         backend: see `render`.
+        lpips: also computes this.
+
+    Raises:
+        DatasetError: if a photo is too small, or its mask leaves too little, to be compared.
     """
     scores = []
     for view in views:
         photo = photo_of(view, background)
         image = picture(gaussians, view.camera, background=background, low_pass=low_pass, backend=backend)
-        scores.append(ViewScore(view.name, metrics.psnr(image, photo), metrics.ssim(image, photo)))
+        scores.append(score(view.name, image, photo, mask_of(view), lpips))
     return Scores(tuple(scores))
+
+
+def score(
+    name: str,
+    image: UInt8[np.ndarray, "h w 3"],
+    photo: UInt8[np.ndarray, "h w 3"],
+    mask: Bool[np.ndarray, "h w"] | None = None,
+    lpips: Lpips | None = None,
+) -> ViewScore:
+    """Compares a picture with a photo.
+
+    Raises:
+        DatasetError: if there is too little of them.
+    """
+    try:
+        return ViewScore(
+            name,
+            metrics.psnr(image, photo, mask),
+            metrics.ssim(image, photo, mask),
+            metrics.psnr(metrics.color_corrected(image, photo, mask), photo, mask),
+            lpips(image, photo, mask) if lpips else None,
+        )
+    except InputError as error:
+        raise DatasetError(f"{name}: {error}. Load larger photos, or mask less of them.") from error
 
 
 def picture(

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from splatax import rasterizers
 
@@ -29,10 +29,19 @@ class Photometric:
         self,
         image: Float[Array, "h w 3"],
         photo: Float[Array, "h w 3"],
+        mask: Bool[Array, "h w"] | None = None,
         *,
         backend: str = rasterizers.AUTO,
     ) -> Float[Array, ""]:
-        """The loss; differentiable in `image` alone. A backend that has its own `photometric` uses that."""
+        """The loss; differentiable in `image` alone. A backend that has its own `photometric` uses that.
+
+        With a mask, true where pixels count, both pictures are zero outside it, as they are beyond the
+        border: what they show there changes nothing. The mean is over the pixels that count.
+        """
+        if mask is not None:
+            image, photo = (jnp.where(mask[..., None], picture, 0) for picture in (image, photo))
+            share = jnp.mean(mask, dtype=image.dtype)
+            return self(image, photo, backend=backend) / share
         implementation = rasterizers.implementation(rasterizers.resolve(backend, image.dtype))
         if hasattr(implementation, "photometric"):
             return implementation.photometric(image, photo, self.ssim_weight)

@@ -1,14 +1,28 @@
-"""How close two pictures are, on 8-bit images in double precision, as papers report it."""
+"""How close two pictures are, on 8-bit images in double precision, as papers report it.
+
+A mask is true where a pixel counts; without one, all do.
+"""
 
 import math
 
 import numpy as np
-from jaxtyping import Float, UInt8
-from scipy.ndimage import correlate1d
+from jaxtyping import Bool, Float, Num, UInt8
+from scipy.ndimage import correlate1d, minimum_filter
 
+from splatax.errors import InputError
 from splatax.losses import KERNEL, WINDOW
 
+PSNR_PROTOCOL = "per view over all RGB values, then the mean over views"
 SSIM_PROTOCOL = "11x11 Gaussian window, sigma 1.5, valid windows only, mean over RGB, 8-bit images"
+CORRECTION_PROTOCOL = (
+    "PSNR after the affine map of the rendering's colours (3x4, least squares, one for each view) that "
+    "brings them closest to the photo; clipped, not rounded again"
+)
+MASK_PROTOCOL = (
+    "pixels outside a mask count nowhere: no part in PSNR or in the colour fit, no SSIM window that "
+    "touches them; for LPIPS both pictures are black there and the score is divided by the share inside"
+)
+Mask = Bool[np.ndarray, "h w"] | None
 
 
 def to_8bit(image: Float[np.ndarray, "h w c"]) -> UInt8[np.ndarray, "h w c"]:
@@ -16,24 +30,42 @@ def to_8bit(image: Float[np.ndarray, "h w c"]) -> UInt8[np.ndarray, "h w c"]:
     return np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
 
 
-def psnr(image: UInt8[np.ndarray, "h w c"], photo: UInt8[np.ndarray, "h w c"]) -> float:
-    """Peak signal-to-noise ratio, dB; infinite for equal images."""
-    error = float(np.mean(np.square(image.astype(np.float64) - photo)))
+def psnr(image: Num[np.ndarray, "h w c"], photo: UInt8[np.ndarray, "h w c"], mask: Mask = None) -> float:
+    """Peak signal-to-noise ratio, dB; infinite for equal images. Values are levels, 0 to 255."""
+    squares = np.square(image.astype(np.float64) - photo)
+    error = float(np.mean(squares if mask is None else squares[mask]))
     return 10 * math.log10(255**2 / error) if error else math.inf
 
 
-def ssim(image: UInt8[np.ndarray, "h w c"], photo: UInt8[np.ndarray, "h w c"]) -> float:
+def color_corrected(
+    image: UInt8[np.ndarray, "h w 3"], photo: UInt8[np.ndarray, "h w 3"], mask: Mask = None
+) -> Float[np.ndarray, "h w 3"]:
+    """The image with its colours brought as close to the photo's as an affine map of RGB can.
+
+    y = M (x, 1), with the 3 x 4 matrix M of least squares over the pixels that count; clipped to
+    levels from 0 to 255. It undoes differences in exposure and white balance, which a scene cannot
+    know of a photo that it has not seen, and nothing that varies over the picture.
+    """
+    colors = np.concatenate([image / 255, np.ones((*image.shape[:2], 1))], axis=2)
+    missing = photo - image.astype(np.float64)  # fitted in place of the photo: 0 stays 0, to the last bit
+    counted = np.ones(image.shape[:2], bool) if mask is None else mask
+    x, y = colors[counted], missing[counted]
+    fit, *_ = np.linalg.lstsq(x.T @ x, x.T @ y)
+    return np.clip(image + colors @ fit, 0, 255)
+
+
+def ssim(image: UInt8[np.ndarray, "h w c"], photo: UInt8[np.ndarray, "h w c"], mask: Mask = None) -> float:
     """Structural similarity (Wang et al. 2004), as scikit-image computes it.
 
     `structural_similarity(gaussian_weights=True, sigma=1.5, use_sample_covariance=False)`: the mean
-    over windows that lie inside the image.
+    over windows that lie inside the image, and inside the mask.
 
     Raises:
-        ValueError: if the image is smaller than the window.
+        InputError: if no window does.
     """
     if min(image.shape[:2]) < WINDOW:
         height, width = image.shape[:2]
-        raise ValueError(f"SSIM needs at least {WINDOW} x {WINDOW} pixels, not {width} x {height}")
+        raise InputError(f"SSIM needs at least {WINDOW} x {WINDOW} pixels, not {width} x {height}")
     x, y = image.astype(np.float64), photo.astype(np.float64)
     c1, c2 = (0.01 * 255) ** 2, (0.03 * 255) ** 2
     mean_x, mean_y = _window_means(x), _window_means(y)
@@ -42,7 +74,17 @@ def ssim(image: UInt8[np.ndarray, "h w c"], photo: UInt8[np.ndarray, "h w c"]) -
     covariance = _window_means(x * y) - mean_x * mean_y
     luminance = (2 * mean_x * mean_y + c1) / (mean_x**2 + mean_y**2 + c1)
     structure = (2 * covariance + c2) / (variance_x + variance_y + c2)
-    return float(np.mean(luminance * structure))
+    similarity = luminance * structure
+    return float(np.mean(similarity if mask is None else similarity[_whole_windows(mask)]))
+
+
+def _whole_windows(mask: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h2 w2"]:
+    """Which windows lie inside the mask, of those that lie inside the image."""
+    edge = WINDOW // 2
+    inside = minimum_filter(mask, WINDOW)[edge:-edge, edge:-edge]
+    if not inside.any():
+        raise InputError(f"SSIM needs {WINDOW} x {WINDOW} pixels in one piece, and the mask has none")
+    return inside
 
 
 def _window_means(values: Float[np.ndarray, "h w c"]) -> Float[np.ndarray, "h2 w2 c"]:

@@ -1,6 +1,7 @@
 """The commands on a tiny capture: what they write, and that they agree with each other."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,11 @@ from numpy.testing import assert_array_equal
 from PIL import Image
 
 import splatax as sx
-from splatax import cli, rasterizers
+from splatax import cli, lpips, rasterizers
+from splatax.cli.train import Train
+from splatax.training.backgrounds import Solid
+from splatax.training.initialize import InFrusta
+from splatax.training.recipes import RECIPES, room_for
 
 SPLIT = ("photo00.png", "photo08.png")  # every 8th of nine
 
@@ -45,6 +50,19 @@ def test_config_holds_all_that_repeats_a_run(trained, capture):
     assert set(config["versions"]) >= {"splatax", "jax", "jaxlib", "numpy", "python"}
 
 
+def test_options_decide_over_the_recipe_and_nothing_else_does(capture):
+    dataset = sx.load_dataset(capture)
+    plain = Train(capture).to_recipe(dataset)
+    assert plain == replace(RECIPES["default"](30_000, room_for(dataset)), backend=plain.backend)
+    chosen = Train(capture, recipe="mcmc", max_gaussians=70, init="random", background="white")
+    recipe = chosen.to_recipe(dataset)
+    assert recipe.density.max_gaussians == 70
+    assert recipe.initialization == InFrusta(opacity=0.5, scale=0.1)
+    assert recipe.background == Solid((1.0, 1.0, 1.0))
+    classic = Train(capture, recipe="classic").to_recipe(dataset)
+    assert classic == replace(RECIPES["classic"](), backend=plain.backend)
+
+
 def test_eval_of_the_run_repeats_its_scores(trained, capture, tmp_path, capsys):
     cli.main(["eval", str(trained), str(capture), "--out", str(tmp_path / "scores.json")])
     scores, metrics = read_json(tmp_path / "scores.json"), read_json(trained / "metrics.json")
@@ -54,6 +72,32 @@ def test_eval_of_the_run_repeats_its_scores(trained, capture, tmp_path, capsys):
     printed = capsys.readouterr().out
     assert all(name in printed for name in SPLIT)
     assert f"{scores['psnr']:.3f}" in printed
+
+
+def test_scores_state_the_worst_view_and_the_protocol_in_words(trained, capture, tmp_path, capsys):
+    metrics = read_json(trained / "metrics.json")
+    worst = min(metrics["test"]["views"], key=lambda view: view["psnr"])
+    assert metrics["test"]["worst"] == {"name": worst["name"], "psnr": worst["psnr"]}
+    assert all(view["corrected_psnr"] >= view["psnr"] for view in metrics["test"]["views"])
+    assert "affine" in metrics["protocol"]["corrected_psnr"]
+    assert "mask" in metrics["protocol"]["masks"]
+    cli.main(["eval", str(trained), str(capture), "--out", str(tmp_path / "scores.json")])
+    printed = capsys.readouterr().out
+    assert f"worst   {worst['name']}" in printed
+    assert f"{metrics['test']['corrected_psnr']:.3f}" in printed
+    assert max(map(len, printed.split("scores  ")[0].splitlines())) <= 80
+
+
+def test_eval_measures_lpips_with_the_weights_it_is_given(trained, capture, tmp_path, capsys):
+    weights = tmp_path / "weights.npz"
+    rng = np.random.default_rng(0)
+    np.savez(weights, **{name: rng.uniform(size=shape) * 0.01 for name, shape in lpips.ALEX.shapes.items()})
+    out = tmp_path / "scores.json"
+    cli.main(["eval", str(trained), str(capture), "--lpips", str(weights), "--out", str(out)])
+    scores = read_json(out)
+    assert "AlexNet" in scores["protocol"]["lpips"]
+    assert scores["lpips"] == pytest.approx(np.mean([view["lpips"] for view in scores["views"]]))
+    assert f"{scores['lpips']:.4f}" in capsys.readouterr().out
 
 
 def test_render_writes_colour_and_depth_of_the_split(trained, capture, tmp_path):

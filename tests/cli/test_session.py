@@ -11,8 +11,8 @@ from splatax.cli import session
 def press_ctrl_c_at(step):
     """`optimize`, with a user who presses Ctrl-C while a step is made."""
 
-    def optimize(dataset, recipe):
-        for progress in sx.training.loop.optimize(dataset, recipe):
+    def optimize(*arguments):
+        for progress in sx.training.loop.optimize(*arguments):
             if progress.step == step:
                 os.kill(os.getpid(), signal.SIGINT)
             yield progress

@@ -39,6 +39,22 @@ def test_loss_and_gradient_equal_those_of_plain_jax(backend, shape, weight):
     assert_allclose(own, 3 * gradient, atol=3e-6 * np.abs(gradient).max())
 
 
+def mask_of(shape):
+    """Ragged: half of the pixels, chosen at random, but for a corner of those that count."""
+    mask = np.random.default_rng(1).uniform(size=shape) < 0.5
+    mask[: shape[0] // 2, : shape[1] // 2] = True
+    return jnp.asarray(mask)
+
+
+def test_masked_loss_and_gradient_equal_those_of_plain_jax(backend):
+    image, photo = pictures((37, 53, 3))
+    mask, loss = mask_of((37, 53)), Photometric()
+    expected, gradient = jax.value_and_grad(lambda x: loss(x, photo, mask, backend="xla"))(image)
+    actual, own = jax.jit(jax.value_and_grad(lambda x: loss(x, photo, mask, backend=backend)))(image)
+    assert_allclose(actual, expected, atol=2e-6)
+    assert_allclose(own, gradient, atol=3e-6 * np.abs(gradient).max())
+
+
 def test_any_number_of_threads_gives_the_same_bits(backend):
     image, photo = pictures((70, 53, 3))
     implementation = rasterizers.implementation(backend)

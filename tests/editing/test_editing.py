@@ -39,6 +39,15 @@ def test_cleaning_a_sound_scene_changes_nothing():
     assert set(removed.values()) == {0}
 
 
+def test_cleaning_keeps_the_large_gaussians_of_a_sparse_background():
+    gaussians = scene()
+    means = gaussians.means.at[:3].multiply(100.0)
+    large = gaussians.log_scales.at[:2].set(jnp.log(60.0))
+    left, removed = editing.clean(replace(gaussians, means=means, log_scales=large))
+    assert removed["floating"] == 1
+    assert_array_equal(left.means[:2], means[:2])
+
+
 def test_what_no_camera_saw_is_cleaned_and_the_picture_stays():
     gaussians = scene()
     gaussians = replace(gaussians, means=gaussians.means.at[:100, 2].add(-10.0))  # behind the camera

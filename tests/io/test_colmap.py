@@ -23,7 +23,7 @@ def capture(tmp_path):
 
 def test_a_known_point_projects_to_its_known_pixel(capture):
     view = sx.load_dataset(capture).train[0]
-    rotation = pycolmap.Rotation3d([0, 0.04, 0, 1]).matrix()
+    rotation = pycolmap.Rotation3d(np.array([0, 0.04, 0, 1]) / np.hypot(0.04, 1)).matrix()
     x, y, z = rotation @ (POINTS[3] + [0, 0, 5]) + [0.2, 0, 0]
     expected = [60 * x / z + 30, 61 * y / z + 25]
     assert view.name == "photo01.png"
@@ -141,6 +141,26 @@ def test_distorted_photos_become_a_pinholes(tmp_path):
         centre = [np.sum(weight * x), np.sum(weight * y)]
         expected = [view.camera.fx * sx_ + view.camera.cx, view.camera.fy * sy + view.camera.cy]
         assert_allclose(centre, expected, atol=0.1)  # half a pixel off would be a wrong convention
+
+
+@pytest.mark.parametrize(
+    ("model", "params"),
+    [
+        ("SIMPLE_RADIAL", [60, 32, 24, 0.3]),
+        ("RADIAL", [60, 32, 24, -0.2, 0.1]),
+        ("OPENCV", [60, 60, 32, 24, -0.2, 0, 0.01, 0]),
+        ("OPENCV_FISHEYE", [60, 60, 32, 24, 0, 0, 0, 0]),  # its projection bends lines without parameters
+    ],
+)
+def test_no_lens_that_bends_lines_passes_for_a_pinhole(model, params, tmp_path):
+    lens = pycolmap.Camera(model=model, width=SIZE[0], height=SIZE[1], params=params, camera_id=1)
+    capture = write_capture(tmp_path / "capture", count=2, camera=lens)
+    photo = np.zeros((48, 64, 3), np.uint8)
+    photo[:10] = 255  # a straight edge, well away from the centre
+    Image.fromarray(photo).save(capture / "images" / "photo01.png")
+    (view,) = sx.load_dataset(capture).train
+    heights = view.pixels()[..., 0].sum(axis=0, dtype=np.float64) / 255  # of white, pixels
+    assert np.ptp(heights) > 0.5
 
 
 def test_a_photo_turned_by_exif_matches_its_camera(tmp_path):

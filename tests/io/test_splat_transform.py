@@ -1,4 +1,4 @@
-"""What we write is read by PlayCanvas' splat-transform (npm, MIT) as the same scene, and the other way round."""
+"""PlayCanvas' splat-transform (npm, MIT) reads what we write as the same scene, and we what it writes."""
 
 import shutil
 import subprocess
@@ -48,7 +48,7 @@ def transform(tmp_path_factory):
 
 
 def scene(degree=3):
-    gaussians = random_gaussians(n=1500, degree=degree, scale=(0.02, 0.1))
+    gaussians = random_gaussians(n=1000, degree=degree, scale=(0.02, 0.1))
     sh = np.clip(np.asarray(gaussians.sh), -0.9, 0.9)
     return sx.Gaussians(*jax.tree.leaves(gaussians)[:4], jax.numpy.asarray(sh))
 
@@ -62,7 +62,7 @@ def assert_same_scene(actual, expected, suffix, factor=1.0):
     assert_allclose(actual.log_scales, expected.log_scales, atol=factor * limit.log_scales + 1e-5, rtol=0)
     assert_allclose(actual.opacities, expected.opacities, atol=factor * limit.opacities + 1e-5, rtol=0)
     assert_allclose(actual.sh[:, :1], expected.sh[:, :1], atol=factor * limit.dc + 1e-5, rtol=0)
-    if limit.sh is not None:
+    if limit.sh is not None and expected.sh_degree > 0:
         higher = np.abs(np.asarray(actual.sh[:, 1:]) - np.asarray(expected.sh[:, 1:]))
         assert np.quantile(higher, 0.99) <= factor * limit.sh + 1e-5
     covariances = [np.asarray(g.covariances) for g in (actual, expected)]

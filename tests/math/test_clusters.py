@@ -28,6 +28,13 @@ def test_codebook_of_a_normal_is_as_good_as_theory_allows():
     assert np.mean(np.square(values - codes[labels])) < 1.15 * best
 
 
+def test_weighted_numbers_are_nearer_to_their_codes():
+    values = np.random.default_rng(0).uniform(size=20_000).astype(np.float32)
+    codes, labels = clusters.codebook(values, 64, weights=np.where(values > 0.5, 1000.0, 1.0))
+    error = np.abs(values - codes[labels])
+    assert error[values > 0.5].mean() < 0.3 * error[values <= 0.5].mean()
+
+
 def test_palette_is_as_good_as_plain_k_means():
     rng = np.random.default_rng(0)
     vectors = (rng.normal(size=(4000, 3)) @ rng.normal(size=(3, 9))).astype(np.float32)

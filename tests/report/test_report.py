@@ -64,9 +64,9 @@ def test_smoothing_keeps_a_line_a_line():
 @pytest.fixture
 def page():
     history = History(losses=[0.5, 0.4, 0.3], counts=[10, 10, 12], train_seconds=1.5)
-    history.evaluations.append(Evaluation(3, 1.5, Scores((ViewScore("a", 20.0, 0.5),))))
+    history.evaluations.append(Evaluation(3, 1.5, Scores((ViewScore("a", 20.0, 0.5, 21.0),))))
     comparisons = [
-        Comparison(ViewScore(name, psnr, 0.9), GRAY, GRAY)
+        Comparison(ViewScore(name, psnr, 0.9, psnr + 1), GRAY, GRAY)
         for name, psnr in (("good.png", 30.0), ("worst.png", 10.0), ("fair.png", 20.0))
     ]
     return report("A & <b>", {"Gaussians": "12"}, ["9 photos"], history, comparisons, b"GIF89a")
@@ -79,6 +79,20 @@ def test_the_page_needs_nothing_else(page):
 
 def test_worst_views_come_first(page):
     assert re.findall(r"<b>(\w+).png</b>", page) == ["worst", "fair", "good"]
+
+
+def test_the_worst_view_is_marked_and_colour_corrected_psnr_shown(page):
+    assert page.count("<mark>worst</mark>") == 1
+    assert page.index("worst.png") < page.index("<mark>worst</mark>") < page.index("fair.png")
+    assert "colour-corrected 11.00 dB" in page
+
+
+def test_errors_outside_the_mask_are_not_shown():
+    mask = np.zeros((6, 8), bool)
+    mask[:, :4] = True
+    errors = error_map(GRAY + np.uint8(90), GRAY, mask)
+    assert_array_equal(errors[:, 4:], error_map(GRAY, GRAY)[:, 4:])
+    assert errors[:, :4].astype(int).sum(axis=2).min() > 600
 
 
 def test_text_is_escaped(page):

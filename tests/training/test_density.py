@@ -15,7 +15,7 @@ from splatax.projection import project
 from splatax.rendering import render
 from splatax.training import optimizer
 from splatax.training.capacity import bucket_for, pad
-from splatax.training.density import STRATEGIES, Classic, DensityStrategy
+from splatax.training.density import STRATEGIES, ByFactor, Classic, DensityStrategy, Mcmc
 from splatax.training.density.classic import Observed
 
 KEY = jax.random.key(0)
@@ -181,12 +181,25 @@ def test_strategies_are_values_that_the_trainer_can_hold(strategy):
     assert hash(strategy) == hash(type(strategy)())
 
 
-@pytest.mark.parametrize("strategy", [Classic()])
-def test_refinement_depends_on_nothing_but_its_arguments(strategy):
-    gaussians, state = scene([0.05, 0.5], [0.5, 0.5]), pulled([1, 1])
-    first, second = (refine(gaussians, state, 2, strategy=strategy) for _ in range(2))
+@pytest.mark.parametrize(
+    ("strategy", "state"), [(Classic(), pulled([1, 1, 0])), (Mcmc(growth=ByFactor(2.0)), ())]
+)
+def test_refinement_depends_on_nothing_but_its_arguments(strategy, state):
+    gaussians = scene([0.05, 0.5, 0.2], [0.5, 0.5, 0.004])
+    first, second = (refine(gaussians, state, 3, strategy=strategy) for _ in range(2))
     for a, b in zip(jax.tree.leaves(first.gaussians), jax.tree.leaves(second.gaussians), strict=True):
         assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize(
+    ("strategy", "state"), [(Classic(), pulled([1, 1, 0])), (Mcmc(growth=ByFactor(2.0)), ())]
+)
+def test_a_refined_scene_is_the_living_first_and_then_empty_slots(strategy, state):
+    refined = refine(scene([0.05, 0.5, 0.2], [0.5, 0.5, 0.004]), state, 3, strategy=strategy)
+    living = np.arange(len(refined.gaussians)) < refined.count
+    assert_array_equal(np.isfinite(refined.gaussians.opacity_logits), living)
+    assert np.all(refined.lineage.newborn[refined.count :])
+    assert len(refined.lineage.parent) == len(refined.gaussians)
 
 
 # --- capacity ---

@@ -83,7 +83,7 @@ def training(scene: Scene, backend: str) -> dict[str, Operation]:
     return {
         f"loss{BACKWARD}": lambda: loss_gradient(image, photo),
         "Adam": adam(scene),
-        "training step": step(scene, backend),
+        "training step": step(scene, replace(Recipe(), backend=backend)),
     }
 
 
@@ -110,12 +110,12 @@ def adam(scene: Scene) -> Operation:
     return operation
 
 
-def step(scene: Scene, backend: str) -> Operation:
+def step(scene: Scene, recipe: Recipe) -> Operation:
     """A whole step of training: projection, rasterizer, loss, all gradients, Adam."""
-    recipe = replace(Recipe(steps=1_000_000), backend=backend)
     gaussians = jax.tree.map(jnp.array, scene.gaussians)
     state = TrainState(
         step=jnp.int32(0),
+        total=jnp.int32(1_000_000),
         gaussians=gaussians,
         opt_state=optimizer.ADAM.init(gaussians),
         density_state=recipe.density.init(len(gaussians)),

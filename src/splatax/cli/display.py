@@ -56,7 +56,9 @@ class Display:
         self._shown = now
         state = self._state(step, float(loss), count)  # type: ignore[arg-type]
         if self.console.is_terminal:
-            self._bar.update(self._task, completed=step, description="training", state=state)
+            self._bar.update(
+                self._task, completed=step, total=self.steps, description="training", state=state
+            )
         else:
             self.console.print(f"step {step:,} of {self.steps:,}  {state}", soft_wrap=True)
 

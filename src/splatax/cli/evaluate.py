@@ -6,9 +6,11 @@ from typing import Literal
 
 import tyro
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
+from rich.text import Text
 
 import splatax as sx
+from splatax import lpips
 from splatax.cli.options import (
     BackendName,
     BackgroundName,
@@ -18,14 +20,20 @@ from splatax.cli.options import (
     read_model,
     resolve_backend,
 )
-from splatax.cli.results import protocol, scores_as_json, write_json
+from splatax.cli.results import measures_of, protocol, scores_as_json, write_json
 from splatax.errors import InputError
 from splatax.training.backgrounds import BACKGROUNDS
+
+LABELS = {"psnr": "PSNR, dB", "ssim": "SSIM", "corrected_psnr": "corrected, dB", "lpips": "LPIPS"}
+DECIMALS = {"psnr": 3, "ssim": 4, "corrected_psnr": 3, "lpips": 4}
 
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Measure PSNR and SSIM of a scene against photos of its capture, on 8-bit images.
+    """Measure a scene against photos of its capture, on 8-bit images: PSNR, SSIM, LPIPS.
+
+    Masked pixels do not count. PSNR is also given after correcting colours by an affine map, which
+    is fair to photos whose exposure or white balance the scene cannot know.
 
     What a run was trained with (size, background, low-pass) is taken from its folder unless given.
     """
@@ -38,6 +46,8 @@ class Evaluate:
     """Which photos: every 8th by name is for testing."""
     out: Path | None = None
     """JSON file for the scores. Without it: eval.json beside the model."""
+    lpips: Path | None = None
+    """Also measure LPIPS, with the weights in this .npz file (docs/evaluation.md says how to make it)."""
     downscale: Downscale | None = None
     """Divide the size of photos by this. "auto": the least that brings them to 1600 pixels."""
     background: BackgroundName | None = None
@@ -48,28 +58,47 @@ class Evaluate:
     """Rasterizer."""
 
     def run(self) -> None:
+        perceptual = lpips.read(self.lpips) if self.lpips else None
         model = read_model(self.model, self.low_pass)
         dataset = load_scene(self.scene, self.downscale, model)
-        background = BACKGROUNDS[self.background or model.options.get("background", "black")].rgb
+        background = BACKGROUNDS[self.background or model.options.get("background") or "black"].rgb
+        views = views_of(dataset, self.split, self.scene)
         scores = sx.evaluate(
             model.gaussians,
-            views_of(dataset, self.split, self.scene),
+            views,
             background=background,
             low_pass=model.low_pass,
             backend=resolve_backend(self.backend),
+            lpips=perceptual,
         )
-        table = Table("view", "PSNR, dB", "SSIM")
-        for view in scores.views:
-            table.add_row(view.name, f"{view.psnr:.3f}", f"{view.ssim:.4f}")
-        table.add_section()
-        table.add_row("mean", f"{scores.psnr:.3f}", f"{scores.ssim:.4f}")
-        Console().print(table)
-        how = protocol(background)
-        print(f"SSIM: {how['ssim']}")
+        how = protocol(background) | ({"lpips": perceptual.protocol} if perceptual else {})
+        console = Console()
+        console.print(table_of(scores))
+        console.print(
+            f"worst   {scores.worst.name}, {scores.worst.psnr:.3f} dB", markup=False, highlight=False
+        )
+        masked = sum(view.mask is not None for view in views)
+        for name in [*measures_of(scores), *(["masks"] if masked else [])]:
+            console.print(f"{LABELS.get(name, name)}: {how[name]}", style="dim", highlight=False)
         out = self.out or model.path.parent / "eval.json"
         contents = {"model": model.path, "scene": self.scene, "split": self.split, "protocol": how}
         write_json(out, contents | scores_as_json(scores))
         print(f"scores  {out}")
+
+
+def table_of(scores: sx.Scores) -> Table:
+    """A row for each view, and one of means."""
+    measured = measures_of(scores)
+    table = Table("view", *(Column(LABELS[name], justify="right") for name in measured))
+
+    def add(label: str, measures: dict[str, float]) -> None:
+        table.add_row(Text(label), *(f"{value:.{DECIMALS[name]}f}" for name, value in measures.items()))
+
+    for view in scores.views:
+        add(view.name, measures_of(view))
+    table.add_section()
+    add("mean", measured)
+    return table
 
 
 def views_of(dataset: sx.Dataset, split: str, scene: Path) -> tuple[sx.View, ...]:

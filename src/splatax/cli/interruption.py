@@ -1,27 +1,30 @@
-"""Ctrl-C, made safe: work ends between two steps, where nothing is half done."""
+"""Being asked to stop, made safe: work ends between two steps, where nothing is half done."""
 
 import signal
 from types import FrameType
 from typing import Any
 
+SIGNALS = (signal.SIGINT, signal.SIGTERM)  # Ctrl-C, and what a system sends before it shuts down
+
 
 class Interruption:
-    """While this context is open, the first Ctrl-C only asks to stop; the second one stops at once.
+    """While this context is open, the first signal only asks to stop; the second one stops at once.
 
     Attributes:
-        requested: whether the user has asked to stop.
+        requested: whether someone has asked to stop.
     """
 
     def __init__(self) -> None:
         self.requested = False
-        self._earlier: Any = None
+        self._earlier: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> "Interruption":
-        self._earlier = signal.signal(signal.SIGINT, self._ask)
+        self._earlier = {number: signal.signal(number, self._ask) for number in SIGNALS}
         return self
 
     def __exit__(self, *_: object) -> None:
-        signal.signal(signal.SIGINT, self._earlier)
+        for number, handler in self._earlier.items():
+            signal.signal(number, handler)
 
     def _ask(self, number: int, frame: FrameType | None) -> None:
         if self.requested:

@@ -56,7 +56,7 @@ class Render:
     def run(self) -> None:
         model = read_model(self.model, self.low_pass)
         dataset = load_scene(self.scene, self.downscale, model)
-        background = BACKGROUNDS[self.background or model.options.get("background", "black")].rgb
+        background = BACKGROUNDS[self.background or model.options.get("background") or "black"].rgb
         backend = resolve_backend(self.backend)
         views = views_of(dataset, self.split, self.scene)
         if (self.out / "rgb").exists() and not self.overwrite:

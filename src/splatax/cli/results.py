@@ -12,9 +12,9 @@ import numpy as np
 import splatax as sx
 from splatax.cli.display import duration
 from splatax.cli.platform import device, peak_memory, versions
-from splatax.evaluation import Scores, ViewScore, photo_of, picture
+from splatax.dataset import mask_of
+from splatax.evaluation import PROTOCOL, Scores, ViewScore, photo_of, picture, score
 from splatax.io.files import write_whole
-from splatax.metrics import SSIM_PROTOCOL, psnr, ssim
 from splatax.projection import Antialiasing
 from splatax.report.history import Evaluation, History
 from splatax.report.page import Comparison, report
@@ -61,12 +61,14 @@ class Run:
             low_pass=self.recipe.low_pass,
             backend=self.recipe.backend,
         )
-        return Comparison(ViewScore(view.name, psnr(image, photo), ssim(image, photo)), photo, image)
+        mask = mask_of(view)
+        return Comparison(score(view.name, image, photo, mask), photo, image, mask)
 
     def metrics(self, test: Scores | None) -> dict[str, Any]:
         """What was measured, and how."""
         return {
             "test": scores_as_json(test) if test else None,
+            "masked_test_views": sum(view.mask is not None for view in self.dataset.test),
             "train_seconds": self.history.train_seconds,
             "steps": self.history.steps,
             "interrupted": self.history.interrupted,
@@ -74,7 +76,7 @@ class Run:
             "final_loss": float(self.history.losses[-1]),
             "peak_rss_bytes": peak_memory(),
             "evaluations": [
-                {"step": e.step, "seconds": e.seconds, "psnr": e.scores.psnr, "ssim": e.scores.ssim}
+                {"step": e.step, "seconds": e.seconds} | measures_of(e.scores)
                 for e in self.history.evaluations
             ],
             "protocol": protocol(self.recipe.background.rgb)
@@ -86,6 +88,7 @@ class Run:
         return {
             "options": as_json(self.config),
             "recipe": as_json(self.recipe),
+            "changes": self.history.changes,
             "capture": list(self.dataset.notes),
             "device": device(),
             "versions": versions(),
@@ -98,6 +101,8 @@ class Run:
         return {
             f"PSNR of {len(scores.views)} {kind} views": f"{scores.psnr:.2f} dB",
             "SSIM": f"{scores.ssim:.4f}",
+            "colour-corrected PSNR": f"{scores.corrected_psnr:.2f} dB",
+            f"worst view, {scores.worst.name}": f"{scores.worst.psnr:.2f} dB",
             "Gaussians": f"{len(self.gaussians):,}",
             "steps" + (", then interrupted" if self.history.interrupted else ""): f"{self.history.steps:,}",
             "training": duration(self.history.train_seconds),
@@ -108,19 +113,21 @@ class Run:
 
 def protocol(background: tuple[float, float, float]) -> dict[str, str]:
     """How scores are made."""
-    return {
-        "split": "every 8th photo by sorted name, from the first, is held out",
-        "images": "rounded to 8 bits, at the size they were loaded in",
-        "psnr": "per view over all RGB values, then the mean over views",
-        "ssim": SSIM_PROTOCOL,
-        "background": str(background),
-    }
+    split = "every 8th photo by sorted name, from the first, is held out"
+    return {"split": split, **PROTOCOL, "background": str(background)}
 
 
 def scores_as_json(scores: Scores) -> dict[str, Any]:
-    """Means, and each view."""
-    views = [{"name": view.name, "psnr": view.psnr, "ssim": view.ssim} for view in scores.views]
-    return {"psnr": scores.psnr, "ssim": scores.ssim, "views": views}
+    """Means, the worst view, and each view."""
+    worst = {"name": scores.worst.name, "psnr": scores.worst.psnr}
+    views = [{"name": view.name} | measures_of(view) for view in scores.views]
+    return measures_of(scores) | {"worst": worst, "views": views}
+
+
+def measures_of(scores: Scores | ViewScore) -> dict[str, float]:
+    """All measures of one view, or the means of several; LPIPS where it was asked for."""
+    measures = {"psnr": scores.psnr, "ssim": scores.ssim, "corrected_psnr": scores.corrected_psnr}
+    return measures if scores.lpips is None else measures | {"lpips": scores.lpips}
 
 
 def as_json(value: Any) -> Any:

@@ -2,15 +2,19 @@
 
 import time
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import splatax as sx
+from splatax.budget import Changes
+from splatax.cli.checkpoints import FOLDER, Checkpoints, files
 from splatax.cli.display import Display
 from splatax.cli.interruption import Interruption
 from splatax.errors import InputError
 from splatax.evaluation import picture
 from splatax.io.files import write_whole
 from splatax.report.history import Evaluation, History
+from splatax.training.loop import RunState
 
 FRAMES = 20  # of the animation, close together at first, when most happens
 
@@ -23,14 +27,20 @@ def claim(out: Path, overwrite: bool) -> None:
     """
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: a file, not a folder. Choose another --out.")
+    if files(out) and not overwrite:
+        raise InputError(
+            f"{out}: holds a run that was stopped. Go on with it: splatax train --resume {out}, choose "
+            "another --out, or replace it: --overwrite."
+        )
     if (out / "scene.ply").exists() and not overwrite:
         raise InputError(
             f"{out}: holds the results of a run. Choose another --out, or replace it: --overwrite."
         )
     try:
-        out.mkdir(parents=True, exist_ok=True)
-        write_whole(out / ".writable", b"")
-        (out / ".writable").unlink()
+        for folder in (out, out / FOLDER) if files(out) else (out,):
+            folder.mkdir(parents=True, exist_ok=True)
+            write_whole(folder / ".writable", b"")
+            (folder / ".writable").unlink()
     except OSError as error:
         raise InputError(f"{out}: cannot be written to ({error.strerror}). Choose another --out.") from error
 
@@ -46,8 +56,16 @@ class Stopwatch:
         return time.monotonic() - self.began - self.paused
 
 
-def train(dataset: sx.Dataset, recipe: sx.Recipe, eval_every: int) -> tuple[History, sx.Gaussians]:
-    """Trains with a progress bar, evaluations and pictures of one view.
+def train(
+    dataset: sx.Dataset,
+    recipe: sx.Recipe,
+    eval_every: int,
+    checkpoints: Checkpoints,
+    history: History,
+    start: RunState | None = None,
+    changes: Changes | None = None,
+) -> sx.Gaussians:
+    """Trains with a progress bar, evaluations, pictures of one view and checkpoints.
 
     Ctrl-C ends training after the step at hand, with what has been reached until then.
 
@@ -55,32 +73,52 @@ def train(dataset: sx.Dataset, recipe: sx.Recipe, eval_every: int) -> tuple[Hist
         dataset: the capture.
         recipe: how.
         eval_every: steps between evaluations of the test views; 0 for none.
+        checkpoints: where the run is saved now and then, and when it is interrupted.
+        history: of the run until now; it grows.
+        start: the run to go on with.
+        changes: of the number of steps. Those of the history are made again.
     """
-    history = History()
-    frames = {max(round(recipe.steps * (i / (FRAMES - 1)) ** 2), 1) for i in range(FRAMES)}
+    changes = changes or Changes()
+    changes.made = history.changes
     with Display(recipe.steps) as display, Interruption() as interruption:
         display.announce("compiling the first step")
-        watch = Stopwatch(time.monotonic())
-        for progress in sx.optimize(dataset, recipe):
+        watch = Stopwatch(time.monotonic() - history.train_seconds)
+        for progress in sx.optimize(dataset, recipe, start, changes):
             history.losses.append(progress.loss)
             history.counts.append(progress.count)
+            display.steps = progress.total
             display.step(progress.step, progress.loss, progress.count)
-            evaluated = bool(eval_every and dataset.test) and progress.step % eval_every == 0
-            if evaluated or progress.step in frames:
+            last = progress.step == progress.total
+            looked = changes.due(progress.step, progress.total)
+            shown = progress.step in frames(progress.total)
+            evaluated = bool(eval_every and dataset.test) and progress.step % eval_every == 0 and not last
+            stopped = interruption.requested and not last
+            saved = not last and (checkpoints.due(progress.step) or stopped)
+            if evaluated or saved or looked or shown:
                 progress.loss.block_until_ready()
-                seconds = watch.seconds()
-                if progress.step in frames:
+                history.train_seconds = seconds = watch.seconds()
+                if looked:
+                    changes.note(progress.step, progress.total, seconds)
+                if shown:
                     history.frames.append(frame(progress, dataset, recipe))
-                if evaluated and progress.step < recipe.steps:
+                if evaluated:
                     history.evaluations.append(evaluate(progress, dataset, recipe, seconds))
                     display.psnr = history.evaluations[-1].scores.psnr
+                if saved:
+                    checkpoints.save(progress.state, history)
                 watch.paused += watch.seconds() - seconds
-            if interruption.requested and progress.step < recipe.steps:
+            if stopped:
                 history.interrupted = True
                 break
         progress.loss.block_until_ready()
         history.train_seconds = watch.seconds()
-    return history, progress.gaussians
+    return progress.gaussians
+
+
+@cache
+def frames(total: int) -> set[int]:
+    """Steps that have a picture in the animation."""
+    return {max(round(total * (i / (FRAMES - 1)) ** 2), 1) for i in range(FRAMES)}
 
 
 def evaluate(progress: sx.Progress, dataset: sx.Dataset, recipe: sx.Recipe, seconds: float) -> Evaluation:

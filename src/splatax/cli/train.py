@@ -1,12 +1,17 @@
 """`splatax train`: from a capture to a scene."""
 
-from dataclasses import asdict, dataclass, replace
+import json
+from collections.abc import Mapping, Set
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import tyro
 
 import splatax as sx
+from splatax.budget import Changes, Clock, measured, parse_seconds, plan
+from splatax.cli.checkpoints import Checkpoints, unpacked
+from splatax.cli.display import duration
 from splatax.cli.options import (
     BackendName,
     BackgroundName,
@@ -16,12 +21,24 @@ from splatax.cli.options import (
     resolve_backend,
 )
 from splatax.cli.results import Run
+from splatax.cli.resume import Earlier, facts, find
 from splatax.cli.session import claim, train
 from splatax.errors import InputError
 from splatax.projection import LOW_PASSES
+from splatax.report.history import History
 from splatax.training.backgrounds import BACKGROUNDS
-from splatax.training.initialize import FromPoints, InFrusta
-from splatax.training.recipes import RECIPES
+from splatax.training.initialize import InFrusta
+from splatax.training.recipes import RECIPES, room_for
+
+FREE = {
+    "scene",
+    "out",
+    "overwrite",
+    "resume",
+    "repeat",
+    "checkpoint_every",
+    "checkpoint_steps",
+}  # options that may change in a run
 
 RecipeName = Literal[*RECIPES]  # type: ignore[valid-type]
 
@@ -31,25 +48,34 @@ class Train:
     """Train a scene on a capture.
 
     Writes scene.ply, metrics.json, config.json, report.html and progress.gif. Ctrl-C ends training
-    early and writes what has been reached.
+    early and writes what has been reached; --resume goes on from there, or from the last checkpoint of
+    a run that crashed, and comes to the same scene as without the stop.
     """
 
-    scene: tyro.conf.Positional[Path]
-    """Folder of the capture: photos and a COLMAP model (images/ and sparse/0/)."""
+    scene: tyro.conf.Positional[Path | None] = None
+    """Folder of the capture, or a zip file of it: photos with a COLMAP model (images/ and sparse/0/),
+    transforms.json, or LLFF's poses_bounds.npy. Photos without poses: splatax reconstruct."""
     out: Path | None = None
     """Folder for the results. Without it: runs/NAME, with the name of the capture's folder."""
+    budget: str | None = None
+    """Train for so long, such as 30s, 5min or 1h: plans --steps and --max-gaussians by the measured speed
+    of this machine, and keeps to the time by the clock. config.json then has what --repeat repeats."""
     steps: int = 30_000
     """How many photos to learn from, one after the other."""
     downscale: Downscale = "auto"
     """Divide the size of photos by this. "auto": the least that brings them to 1600 pixels."""
-    recipe: RecipeName = "classic"
-    """How to train. "classic": Kerbl et al. 2023."""
-    max_gaussians: int = 5_000_000
-    """The most Gaussians that the scene may grow to."""
+    recipe: RecipeName = "default"
+    """How to train. "default": the best known; "classic": Kerbl et al. 2023; "mcmc": Kheradmand et al.
+    2024."""
+    max_gaussians: Literal["auto"] | int = "auto"
+    """The most Gaussians that the scene may grow to; all recipes but "classic" do grow to it. "auto": as
+    many as the photos have detail for; with "classic" 5,000,000, which it rarely reaches."""
     init: Literal["sfm", "random"] = "sfm"
     """Start from the capture's points, or at random where the cameras look."""
-    background: BackgroundName = "black"
-    """Behind the scene, and behind photos with alpha. "random" changes each step, against haze."""
+    background: BackgroundName | None = None
+    """Behind the scene, and behind photos with alpha. "random" changes each step, against haze, and is
+    black in evaluations. Without it: white for Blender's scenes; else the recipe's, random for
+    "default", else black."""
     low_pass: LowPassName = "dilation"
     """What keeps thin Gaussians visible. "antialiasing" also keeps their brightness from afar."""
     backend: BackendName = "auto"
@@ -58,41 +84,176 @@ class Train:
     """Of all randomness: the same seed gives the same scene on the same machine."""
     eval_every: int = 0
     """Steps between evaluations of the held-out photos. 0: at the end alone."""
+    checkpoint_every: float = 120.0
+    """Seconds between checkpoints, of which the last two are kept until the run ends. 0: only when
+    it is interrupted."""
+    checkpoint_steps: int = 0
+    """Steps between checkpoints, besides. 0: by the clock alone."""
+    resume: Path | None = None
+    """Go on with a run that was stopped: its folder, or one of its checkpoints. All other options are
+    as it was started with."""
+    repeat: Path | None = None
+    """Make a finished run again, from its folder: with its options, and as many steps as it came to."""
     overwrite: bool = False
     """Replace the results of an earlier run in the same folder."""
 
     def run(self) -> None:
-        recipe = self.to_recipe()
+        if self.resume is not None:
+            earlier = find(self.resume)
+            options = self.as_started(earlier.options)
+            history = unpacked(earlier.checkpoint)
+            options.start(history, options.clock(history), earlier)
+        elif self.repeat is not None:
+            stored, made = finished(self.repeat)
+            again = self.as_started(stored | {"out": None, "overwrite": False}, FREE | {"out", "overwrite"})
+            again.start(History(changes=made), Changes())
+        else:
+            self.start(History())
+
+    def clock(self, history: History) -> Changes | None:
+        """What keeps a run within its budget, if it has one."""
+        if self.budget is None:
+            return None
+        return Clock(seconds=parse_seconds(self.budget), checked=(history.steps, history.train_seconds))
+
+    def as_started(self, options: Mapping[str, Any], free: Set[str] = FREE) -> "Train":
+        """The options of a run, with those of these that are free to change.
+
+        Raises:
+            InputError: if others are given.
+        """
+        stored = dict(options)
+        for path in ("scene", "out"):
+            stored[path] = stored[path] and Path(stored[path])
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if value in (field.default, stored[field.name]):
+                continue
+            if field.name not in free:
+                raise InputError(
+                    f"--{field.name.replace('_', '-')} {value}: the run was started with "
+                    f"{stored[field.name]}, and goes on with that. Leave the option out, or start a new run."
+                )
+            stored[field.name] = value
+        return Train(**{**stored, "resume": None, "repeat": None})
+
+    def start(self, history: History, changes: Changes | None = None, earlier: Earlier | None = None) -> None:
+        """Trains, from the beginning or from a checkpoint.
+
+        Args:
+            history: of the run until now.
+            changes: of the number of steps; without them, what the options ask for.
+            earlier: the checkpoint to go on from.
+        """
+        if self.scene is None:
+            raise InputError("Which capture? Name its folder, or a run to go on with: --resume RUN.")
+        scene = self.scene.absolute()  # a run may go on from another folder
+        self.refuse_what_is_out_of_range()
         dataset = load_scene(self.scene, self.downscale)
         for note in dataset.notes:
             print(note)
+        settled = replace(self, scene=scene, background=self.background or dataset.background)
+        if changes is None and self.budget is not None:
+            settled, changes = settled.planned(dataset), self.clock(history)
+        recipe = settled.to_recipe(dataset)
         if self.init == "sfm" and not len(dataset.points):
             raise InputError(
                 f"{self.scene}: the capture has no points to start from. Start at random: --init random."
             )
-        out = self.out or Path("runs") / self.scene.resolve().name
-        claim(out, self.overwrite)
-        history, gaussians = train(dataset, recipe, self.eval_every)
-        run = Run(self.scene.resolve().name, dataset, recipe, history, gaussians, asdict(self), out)
-        conclude(run)
+        options = asdict(settled)
+        out = earlier.run if earlier else self.out or Path("runs") / scene.resolve().name
+        claim(out, self.overwrite or earlier is not None)
+        checkpoints = Checkpoints(
+            out,
+            facts(options, recipe, dataset),
+            seconds=self.checkpoint_every,
+            steps=self.checkpoint_steps,
+            earlier=earlier.path if earlier else None,
+        )
+        state = None
+        if earlier:
+            state = earlier.state(recipe, dataset)
+            print(f"going on after step {history.steps:,} of {int(state.train.total):,}")
+        with checkpoints:
+            gaussians = train(dataset, recipe, self.eval_every, checkpoints, history, state, changes)
+            conclude(Run(scene.resolve().name, dataset, recipe, history, gaussians, options, out))
+        if history.interrupted:
+            print(f"stopped at step {history.steps:,}. Go on: splatax train --resume {out}")
+        else:
+            checkpoints.discard()
 
-    def to_recipe(self) -> sx.Recipe:
-        """The recipe that the options describe.
+    def planned(self, dataset: sx.Dataset) -> "Train":
+        """The same with the numbers of steps and Gaussians that fit into the budget. Says what they are.
 
         Raises:
-            InputError: if an option is out of range, or the backend cannot run here.
+            InputError: if the budget is not a time, or the recipe is not one that it can plan.
         """
-        for option in ("steps", "max_gaussians"):
-            if getattr(self, option) < 1:
-                raise InputError(f"--{option.replace('_', '-')}: at least 1, not {getattr(self, option)}.")
+        if self.recipe != "default" or self.steps != Train.steps:
+            raise InputError(
+                "--budget: plans the steps of the recipe default. Leave out --recipe and --steps."
+            )
+        try:
+            seconds = parse_seconds(self.budget or "")
+        except ValueError as error:
+            raise InputError(f"--budget: {error}.") from error
+        recipe = self.to_recipe(dataset)
+        print("measuring the speed of this machine ...")
+        camera = dataset.train[0].camera
+        costs = measured((camera.width, camera.height), recipe)
+        first = len(recipe.initialization(dataset, 0, self.seed))
+        most = None if self.max_gaussians == "auto" else self.max_gaussians
+        chosen = plan(costs, seconds, first, room_for(dataset), most)
+        print(
+            f"about {chosen.steps:,} steps and {chosen.max_gaussians:,} Gaussians in {duration(seconds)}, at "
+            f"{1e3 * costs.step(chosen.max_gaussians):.0f} ms a step in the end"
+        )
+        return replace(self, steps=chosen.steps, max_gaussians=chosen.max_gaussians)
+
+    def refuse_what_is_out_of_range(self) -> None:
+        """Raises InputError if a number makes no sense."""
+        lowest = {"steps": 1, "max_gaussians": 1, "seed": 0, "checkpoint_every": 0, "checkpoint_steps": 0}
+        for option, least in lowest.items():
+            value = getattr(self, option)
+            if value != "auto" and value < least:
+                raise InputError(f"--{option.replace('_', '-')}: at least {least}, not {value}.")
+
+    def to_recipe(self, dataset: sx.Dataset) -> sx.Recipe:
+        """The recipe that the options describe, for a capture.
+
+        Raises:
+            InputError: if the backend cannot run here.
+        """
+        most = {"max_gaussians": self.max_gaussians}
+        if self.max_gaussians == "auto":
+            most = {} if self.recipe == "classic" else {"max_gaussians": room_for(dataset)}
+        recipe = RECIPES[self.recipe](steps=self.steps, **most)
+        start = recipe.initialization
+        if self.init == "random":
+            start = InFrusta(opacity=start.opacity, scale=start.scale)
         return replace(
-            RECIPES[self.recipe](steps=self.steps, max_gaussians=self.max_gaussians),
-            initialization=FromPoints() if self.init == "sfm" else InFrusta(),
-            background=BACKGROUNDS[self.background],
+            recipe,
+            initialization=start,
+            background=BACKGROUNDS[self.background] if self.background else recipe.background,
             low_pass=LOW_PASSES[self.low_pass],
             backend=resolve_backend(self.backend),
             seed=self.seed,
         )
+
+
+def finished(run: Path) -> tuple[dict[str, Any], list[tuple[int, int]]]:
+    """Options of a finished run, and the changes of its number of steps.
+
+    Raises:
+        InputError: if there is none in that folder.
+    """
+    path = run / "config.json" if run.is_dir() else run
+    try:
+        config = json.loads(path.read_text())
+        return config["options"], [(step, total) for step, total in config["changes"]]
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(
+            f"{path}: not the config.json of a finished run ({error}). Name its folder."
+        ) from error
 
 
 def conclude(run: Run) -> None:

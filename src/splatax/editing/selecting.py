@@ -19,6 +19,7 @@ from splatax.splats import MIN_ALPHA
 NEIGHBOURS = 16  # that tell how lonely a Gaussian is
 FLOATER_DEVIATIONS = 5.0  # of the logarithm of its distance to them, by the median deviation
 FLOATER_FACTOR = 4.0  # of the median distance, at least: corners of a dense scene are lonely by 2
+REACH = 3.0  # standard deviations that a Gaussian is seen to
 TO_SIGMA = 1.4826  # from a median absolute deviation to the standard deviation of a normal
 LEAST_WEIGHT = 0.02  # pixels, over all views, that a Gaussian must fill to count as seen
 
@@ -65,7 +66,8 @@ def clean(
         gaussians: the scene.
         min_opacity: fainter ones go.
         deviations: a Gaussian floats if the logarithm of its distance to its 16 nearest exceeds
-            the median by so many (robust) standard deviations, and the distance is 4 times usual.
+            the median by so many (robust) standard deviations, the distance is 4 times usual, and
+            it does not reach them: large ones fill a sparse background.
         weights: of `visible_weights`; without, all count as seen.
 
     Returns:
@@ -83,7 +85,8 @@ def clean(
         removed[reason] = int(np.sum(kept & ~good))
         kept &= good
     rows = np.flatnonzero(kept)
-    floating = rows[_floaters(np.asarray(gaussians.means)[rows], deviations)]
+    sizes = np.exp(np.asarray(gaussians.log_scales, np.float64)[rows].max(axis=1, initial=-np.inf))
+    floating = rows[_floaters(np.asarray(gaussians.means)[rows], sizes, deviations)]
     removed["floating"] = len(floating)
     kept[floating] = False
     return _keep(gaussians, kept), removed
@@ -133,13 +136,16 @@ def visible_weights(
     return weights
 
 
-def _floaters(means: Float[np.ndarray, "n 3"], deviations: float) -> Bool[np.ndarray, " n"]:
+def _floaters(
+    means: Float[np.ndarray, "n 3"], sizes: Float[np.ndarray, " n"], deviations: float
+) -> Bool[np.ndarray, " n"]:
     if len(means) <= NEIGHBOURS:
         return np.zeros(len(means), bool)
     distances = np.log(np.maximum(mean_squared_distances(means, NEIGHBOURS), 1e-30)) / 2
     median = np.median(distances)
     spread = TO_SIGMA * np.median(np.abs(distances - median))
-    return distances > median + max(deviations * spread, np.log(FLOATER_FACTOR))
+    lonely = distances > median + max(deviations * spread, np.log(FLOATER_FACTOR))
+    return lonely & (REACH * sizes < np.exp(distances))
 
 
 def _keep(gaussians: Gaussians, mask: Bool[np.ndarray, " n"]) -> Gaussians:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from splatax.dataset import Pixels
+from splatax.dataset import Mask, Pixels
 from splatax.errors import DatasetError
 from splatax.io.files import write_whole
 
@@ -53,6 +53,21 @@ def read(path: Path, *, upright: bool = False) -> Pixels:
             ) from error
 
 
+def read_mask(path: Path) -> Mask:
+    """Decodes a mask: true wherever the picture is not black.
+
+    Raises:
+        DatasetError: if the file is not an image, or is damaged.
+    """
+    with _open(path) as image:
+        try:
+            one_channel = image.mode in ("1", "L", "I", "I;16", "F")
+            shades = np.atleast_3d(np.array(image if one_channel else image.convert("RGB")))
+        except (OSError, SyntaxError) as error:
+            raise DatasetError(f"{path}: the mask is damaged ({error}). Make it again.") from error
+    return np.any(shades != 0, axis=2)
+
+
 def resize(pixels: Pixels, width: int, height: int) -> Pixels:
     """Shrinks by averaging the area that each new pixel covers; alpha weighs colour."""
     if pixels.shape[:2] == (height, width):
@@ -65,6 +80,13 @@ def resize(pixels: Pixels, width: int, height: int) -> Pixels:
         pixels = np.concatenate([color, mean_alpha * 255], axis=2)
         return np.round(pixels).astype(np.uint8)
     return np.array(Image.fromarray(pixels).resize((width, height), Image.Resampling.BOX))
+
+
+def resize_mask(mask: Mask, width: int, height: int) -> Mask:
+    """A mask of another size: true where more than half of the area that a new pixel covers is."""
+    if mask.shape == (height, width):
+        return mask
+    return _area_mean(mask[..., None].astype(np.float32), width, height)[..., 0] > 0.5
 
 
 def _area_mean(values: np.ndarray, width: int, height: int) -> np.ndarray:

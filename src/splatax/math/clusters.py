@@ -8,27 +8,40 @@ SAMPLE = 20_000  # vectors that the first level is made from
 
 
 def codebook(
-    values: Float[np.ndarray, " n"], size: int, *, rounds: int = 30
+    values: Float[np.ndarray, " n"],
+    size: int,
+    *,
+    weights: Float[np.ndarray, " n"] | None = None,
+    rounds: int = 30,
 ) -> tuple[Float[np.ndarray, " size"], Int[np.ndarray, " n"]]:
     """At most `size` numbers, increasing, that stand for `values`; and which of them each value takes.
 
     Begins with the spacing that is best for many levels, density^(1/3) (Panter and Dite 1951).
     Sorted values make a round of Lloyd's algorithm a few binary searches and sums.
+
+    Args:
+        values: to be stood for.
+        size: of the codebook.
+        weights: of each value's squared error; above zero. Without: all the same.
+        rounds: of Lloyd's algorithm.
     """
-    ordered = np.sort(values.astype(np.float64))
+    order = np.argsort(values, kind="stable")
+    ordered = values[order].astype(np.float64)
     distinct = ordered[np.concatenate([[True], np.diff(ordered) > 0])]
     if len(distinct) <= size:
         centres = np.concatenate([distinct, np.full(size - len(distinct), distinct[-1])])
         return centres.astype(np.float32), np.searchsorted(distinct, values.astype(np.float64))
-    density, edges = np.histogram(ordered, bins=8 * size)
+    weight = np.ones(len(values)) if weights is None else weights[order].astype(np.float64)
+    density, edges = np.histogram(ordered, bins=8 * size, weights=weight)
     share = np.concatenate([[0], np.cumsum(np.cbrt(density))])
-    centres = np.interp((np.arange(size) + 0.5) / size * share[-1], share, edges)
-    sums = np.concatenate([[0], np.cumsum(ordered)])
+    centres = np.interp(np.arange(size) / (size - 1) * share[-1], share, edges)
+    total, sums = (np.concatenate([[0], np.cumsum(w)]) for w in (weight, weight * ordered))
     for _ in range(rounds):
-        between = (centres[1:] + centres[:-1]) / 2
-        ends = np.concatenate([[0], np.searchsorted(ordered, between), [len(ordered)]])
-        counts = np.diff(ends)
-        centres = np.sort(np.where(counts > 0, np.diff(sums[ends]) / np.maximum(counts, 1), centres))
+        ends = np.searchsorted(ordered, (centres[1:] + centres[:-1]) / 2)
+        ends = np.concatenate([[0], ends, [len(ordered)]])
+        heavy = np.diff(total[ends]) > 0
+        means = np.diff(sums[ends]) / np.where(heavy, np.diff(total[ends]), 1)
+        centres = np.sort(np.where(heavy, means, centres))
     return centres.astype(np.float32), np.searchsorted((centres[1:] + centres[:-1]) / 2, values)
 
 

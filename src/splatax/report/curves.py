@@ -1,6 +1,8 @@
-"""Loss, test PSNR and the number of Gaussians over steps."""
+"""Loss, test PSNR and the number of Gaussians over steps; test PSNR over time."""
 
 import io
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -30,6 +32,26 @@ def training_curves(history: History) -> str:
         axes.set_xlabel("step")
         axes.set_xlim(0, history.steps)
         axes.grid(alpha=0.3)
+    return svg(figure)
+
+
+def psnr_over_time(curves: Sequence[tuple[Sequence[float], Sequence[float]]], colors: Sequence[str]) -> str:
+    """A curve for each run, from its seconds of training and test PSNR, as SVG."""
+    from matplotlib.figure import Figure  # slow to import
+
+    figure = Figure(figsize=(7, 3.2), layout="constrained")
+    axes = figure.subplots()
+    for (seconds, psnr), color in zip(curves, colors, strict=True):
+        axes.plot(seconds, psnr, "o-", color=color, markersize=4)
+    axes.set_xlabel("training, s")
+    axes.set_ylabel("test PSNR, dB")
+    axes.set_xlim(left=0)
+    axes.grid(alpha=0.3)
+    return svg(figure)
+
+
+def svg(figure: Any) -> str:
+    """A figure of matplotlib's as an element of a page."""
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
     return buffer.getvalue()[buffer.getvalue().index("<svg") :]

@@ -2,9 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import jinja2
 
+from splatax.dataset import Mask
 from splatax.evaluation import ViewScore
 from splatax.report.curves import training_curves
 from splatax.report.history import History
@@ -13,11 +15,12 @@ from splatax.report.pictures import Picture, data_uri, encoded, error_map
 
 @dataclass(frozen=True)
 class Comparison:
-    """A test view: its photo, and what the scene shows from there."""
+    """A test view: its photo, and what the scene shows from there; which pixels count (None: all)."""
 
     score: ViewScore
     photo: Picture
     image: Picture
+    mask: Mask | None = None
 
 
 def report(
@@ -42,16 +45,15 @@ def report(
     views = [
         {
             "score": comparison.score,
+            "mask": comparison.mask is not None,
             "photo": data_uri(comparison.photo),
             "image": data_uri(comparison.image),
-            "error": data_uri(error_map(comparison.image, comparison.photo)),
+            "error": data_uri(error_map(comparison.image, comparison.photo, comparison.mask)),
         }
         for comparison in worst_first
     ]
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("splatax.report", "."), autoescape=True, undefined=jinja2.StrictUndefined
-    )
-    return environment.get_template("page.html").render(
+    return fill(
+        "page.html",
         title=title,
         summary=summary,
         notes=notes,
@@ -59,3 +61,11 @@ def report(
         animation=encoded(animation, "image/gif") if animation else "",
         views=views,
     )
+
+
+def fill(template: str, **values: Any) -> str:
+    """A page of this package, with all that is not said to be safe escaped."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("splatax.report", "."), autoescape=True, undefined=jinja2.StrictUndefined
+    )
+    return environment.get_template(template).render(values)

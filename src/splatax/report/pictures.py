@@ -9,6 +9,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw
 
+from splatax.dataset import Mask
+
 Picture = UInt8[np.ndarray, "_ _ 3"]
 
 LARGEST_ERROR = 0.25  # of full scale: where the colours of error maps end
@@ -17,9 +19,14 @@ FRAME_SECONDS, LAST_SECONDS = 0.25, 2.5  # of an animation
 LABEL_HEIGHT = 18  # pixels
 
 
-def error_map(image: Picture, photo: Picture) -> Picture:
-    """Mean absolute difference over RGB: black is none, bright yellow a quarter of full scale."""
+def error_map(image: Picture, photo: Picture, mask: Mask | None = None) -> Picture:
+    """Mean absolute difference over RGB: black is none, bright yellow a quarter of full scale.
+
+    Outside the mask, where nothing counts, it is black.
+    """
     error = np.mean(np.abs(image.astype(np.float32) - photo), axis=2) / 255
+    if mask is not None:
+        error = np.where(mask, error, 0)
     return colored(error / LARGEST_ERROR, "inferno")
 
 

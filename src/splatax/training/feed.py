@@ -2,35 +2,65 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import count, islice
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, UInt8
+from jaxtyping import Array, Bool, UInt8
 
 from splatax.camera import Camera
-from splatax.dataset import Pixels, View
+from splatax.dataset import Mask, Pixels, View, mask_of
 from splatax.errors import DatasetError
+from splatax.training.resolution import Resolution, divided
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Batch:
-    """One view: its camera, and its photo as 8-bit RGB or RGBA."""
+    """One view: its camera, its photo as 8-bit RGB or RGBA, and which pixels count (None: all)."""
 
     camera: Camera
     photo: UInt8[Array, "h w c"]
+    mask: Bool[Array, "h w"] | None = None
 
 
-def batches(views: Sequence[View], seed: int) -> Iterator[Batch]:
-    """All views in a new random order, again and again. Photos are decoded once and kept, 8-bit."""
-    rng = np.random.default_rng(seed)
-    decoded: dict[int, Pixels] = {}
-    while True:
-        for index in rng.permutation(len(views)).tolist():
-            if index not in decoded:
-                decoded[index] = checked(views[index])
-            yield Batch(views[index].camera, jnp.asarray(decoded[index]))
+def batches(
+    views: Sequence[View], seed: int, start: int = 0, resolution: Resolution = Resolution()
+) -> Iterator[Batch]:
+    """All views in a new random order, again and again. Photos are decoded once and kept, 8-bit.
+
+    Args:
+        views: at least one.
+        seed: of the order.
+        start: how many batches to leave out; the rest are the same as without.
+        resolution: of each step; the first batch is for step 1.
+    """
+    decoded: dict[int, tuple[Pixels, Mask | None]] = {}
+    smaller: dict[tuple[int, int], Batch] = {}
+    indices = islice(order(len(views), seed, start // len(views)), start % len(views), None)
+    for step, index in enumerate(indices, start + 1):
+        view, divisor = views[index], resolution.divisor(step)
+        if index not in decoded:
+            decoded[index] = checked(view), mask_of(view)
+        if divisor == 1:
+            smaller.clear()
+            yield batch(view.camera, *decoded[index])
+            continue
+        if (index, divisor) not in smaller:
+            smaller[index, divisor] = batch(*divided(view.camera, *decoded[index], divisor))
+        yield smaller[index, divisor]
+
+
+def batch(camera: Camera, photo: Pixels, mask: Mask | None) -> Batch:
+    """A view on the device."""
+    return Batch(camera, jnp.asarray(photo), None if mask is None else jnp.asarray(mask))
+
+
+def order(views: int, seed: int, epoch: int) -> Iterator[int]:
+    """Indices of views from an epoch on: each epoch's order depends on the seed and its number alone."""
+    for number in count(epoch):
+        yield from np.random.default_rng((seed, number)).permutation(views).tolist()
 
 
 def checked(view: View) -> Pixels:

@@ -12,6 +12,7 @@ from splatax.errors import DatasetError
 from splatax.gaussians import Gaussians
 from splatax.math import harmonics
 from splatax.math.neighbours import mean_squared_distances
+from splatax.projection import NEAR
 
 SMALLEST = 0.01  # of the median distance between neighbours: size of points that coincide
 
@@ -64,6 +65,24 @@ class InFrusta:
             positions[rows] = unproject(camera, pixels[rows], 1 / inverse_depth[rows])
         colors = rng.uniform(size=(self.count, 3)).astype(np.float32)
         return _round_gaussians(positions, colors, self.opacity, self.scale, sh_degree, dataset.extent)
+
+
+def require_visible(gaussians: Gaussians, dataset: Dataset) -> None:
+    """Makes sure that there is something to learn from.
+
+    Raises:
+        DatasetError: if no Gaussian is in front of a training camera: nothing would ever move.
+    """
+    means = np.asarray(gaussians.means)
+    for view in dataset.train:
+        depths = means @ np.asarray(view.camera.rotation)[2] + np.asarray(view.camera.translation)[2]
+        if (depths > NEAR).any():
+            return
+    raise DatasetError(
+        f"No camera sees any of the {len(means):,} points to start from: all are behind the cameras, or "
+        f"nearer than {NEAR} world units. Check that the points belong to the cameras; scale up a capture "
+        "that is so small."
+    )
 
 
 def focus_distance(cameras: list[Camera], extent: float) -> float:

@@ -1,11 +1,11 @@
 """Training as a generator: progress bars, evaluation and viewers are `for` loops over it."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from splatax import rasterizers
 from splatax.dataset import Dataset
@@ -14,8 +14,22 @@ from splatax.gaussians import Gaussians
 from splatax.training import optimizer
 from splatax.training.capacity import bucket_for, pad
 from splatax.training.feed import batches
+from splatax.training.initialize import require_visible
 from splatax.training.recipes import Recipe
 from splatax.training.step import TrainState, train_step
+
+
+@dataclass(frozen=True)
+class RunState:
+    """A run between two steps: with the data set and the recipe, all that is needed to go on.
+
+    Attributes:
+        train: what the steps change. The next step uses it up.
+        count: of living Gaussians.
+    """
+
+    train: TrainState
+    count: int
 
 
 @dataclass(frozen=True)
@@ -24,14 +38,21 @@ class Progress:
 
     Attributes:
         step: how many have been made, from 1.
+        total: how many there will be, as planned now.
         loss: of the step's view; reading it waits for the step to end.
         count: of Gaussians.
     """
 
     step: int
+    total: int
     loss: Float[Array, ""]
     count: int
     _state: TrainState
+
+    @property
+    def state(self) -> RunState:
+        """What `optimize` needs to go on from here, valid until the next step."""
+        return RunState(self._state, self.count)
 
     @property
     def gaussians(self) -> Gaussians:
@@ -53,36 +74,67 @@ def fit(dataset: Dataset, recipe: Recipe) -> Gaussians:
     return progress.gaussians
 
 
-def optimize(dataset: Dataset, recipe: Recipe) -> Iterator[Progress]:
+def optimize(
+    dataset: Dataset,
+    recipe: Recipe,
+    start: RunState | None = None,
+    pace: Callable[[int], int | None] | None = None,
+) -> Iterator[Progress]:
     """Trains a scene, and yields after each step. The same arguments give the same scene.
 
+    Args:
+        dataset: the capture.
+        recipe: how.
+        start: a run of the same data set and recipe, to go on as if it had never stopped. It is used up.
+        pace: asked after each step, once it has been yielded; may say how many steps the run shall have
+            from now on instead of the recipe's.
+
     Raises:
-        DatasetError: if there are no training views, or nothing to start from.
-        ValueError: if the recipe has no steps, or its backend is not available.
+        DatasetError: if there are no training views, or nothing to start from that they see.
+        ValueError: if the recipe has no steps, none are left, or its backend is not available.
     """
     if not dataset.train:
         raise DatasetError("The capture has no photos to train on.")
     if recipe.steps < 1:
         raise ValueError(f"a recipe needs at least one step, not {recipe.steps}")
     recipe = replace(recipe, backend=rasterizers.resolve(recipe.backend))
-    gaussians = recipe.initialization(dataset, recipe.sh_degree, recipe.seed)
-    yield from _steps(dataset, recipe, gaussians)
+    if start is None:
+        gaussians = recipe.initialization(dataset, recipe.sh_degree, recipe.seed)
+        require_visible(gaussians, dataset)
+        padded = pad(gaussians, bucket_for(len(gaussians)))
+        start = RunState(first_state(padded, recipe, dataset.extent), len(gaussians))
+    yield from _steps(dataset, recipe, start, pace or (lambda step: None))
 
 
-def _steps(dataset: Dataset, recipe: Recipe, gaussians: Gaussians) -> Iterator[Progress]:
-    count = len(gaussians)
-    capacity = bucket_for(count)
-    padded = pad(gaussians, capacity)
-    key, refine_key = jax.random.split(jax.random.key(recipe.seed))
-    state = TrainState(
+def first_state(gaussians: Gaussians, recipe: Recipe, extent: float) -> TrainState:
+    """Before any step, from a padded scene."""
+    key, _ = _keys(recipe)
+    return TrainState(
         step=jnp.int32(0),
-        gaussians=padded,
-        opt_state=optimizer.ADAM.init(padded),
-        density_state=recipe.density.init(capacity),
+        total=jnp.int32(recipe.steps),
+        gaussians=gaussians,
+        opt_state=optimizer.ADAM.init(gaussians),
+        density_state=recipe.density.init(len(gaussians)),
         key=key,
-        extent=jnp.float32(dataset.extent),
+        extent=jnp.float32(extent),
     )
-    for step, batch in zip(range(1, recipe.steps + 1), batches(dataset.train, recipe.seed), strict=False):
+
+
+def _keys(recipe: Recipe) -> tuple[PRNGKeyArray, PRNGKeyArray]:
+    """Of the steps and of the refinements."""
+    key, refine_key = jax.random.split(jax.random.key(recipe.seed))
+    return key, refine_key
+
+
+def _steps(
+    dataset: Dataset, recipe: Recipe, start: RunState, pace: Callable[[int], int | None]
+) -> Iterator[Progress]:
+    state, count = start.train, start.count
+    _, refine_key = _keys(recipe)
+    done, total = int(state.step), int(state.total)
+    if done >= total:
+        raise ValueError(f"nothing left to do: {done} of {total} steps are made")
+    for step, batch in enumerate(batches(dataset.train, recipe.seed, done, recipe.resolution), done + 1):
         state, loss = train_step(state, batch, recipe)
         if recipe.density.due(step):
             refined = recipe.density.refine(
@@ -100,4 +152,10 @@ def _steps(dataset: Dataset, recipe: Recipe, gaussians: Gaussians) -> Iterator[P
                 opt_state=optimizer.inherit(state.opt_state, refined.lineage),
                 density_state=refined.state,
             )
-        yield Progress(step, loss, count, state)
+        yield Progress(step, total, loss, count, state)
+        planned = pace(step)
+        if planned is not None:
+            total = planned
+            state = replace(state, total=jnp.int32(total))
+        if step >= total:
+            return

@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import optax
+from jax import lax
 from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt8
 
 from splatax import rasterizers
@@ -25,6 +26,7 @@ class TrainState:
 
     Attributes:
         step: how many steps have been made.
+        total: how many the run shall have; schedules go by the share that is done.
         gaussians: the scene, the living first, then empty slots.
         opt_state: Adam's.
         density_state: of the density strategy.
@@ -33,6 +35,7 @@ class TrainState:
     """
 
     step: Int[Array, ""]
+    total: Int[Array, ""]
     gaussians: Gaussians
     opt_state: optax.OptState
     density_state: Any
@@ -46,24 +49,28 @@ def train_step(state: TrainState, batch: Batch, recipe: Recipe) -> tuple[TrainSt
 
     The backend named by the recipe must be resolved already.
     """
-    background = recipe.background.sample(jax.random.fold_in(state.key, state.step))
+    background_key, noise_key = jax.random.split(jax.random.fold_in(state.key, state.step))
+    background = recipe.background.sample(background_key)
     photo = photo_over(batch.photo, background)
 
     def image_loss(splats):
         sums, alpha = rasterizers.composite(splats, splats.colors, backend=recipe.backend)
-        return recipe.loss(over(sums, alpha, background), photo, backend=recipe.backend)
+        return recipe.loss(over(sums, alpha, background), photo, batch.mask, backend=recipe.backend)
 
     def project_view(gaussians):
-        return project(gaussians, batch.camera, low_pass=recipe.low_pass, backend=recipe.backend)
+        splats = project(gaussians, batch.camera, low_pass=recipe.low_pass, backend=recipe.backend)
+        return splats, recipe.prior(gaussians, state.extent)
 
-    splats, pull_back = jax.vjp(project_view, state.gaussians)
+    (splats, prior), pull_back = jax.vjp(project_view, state.gaussians)
     loss, d_splats = jax.value_and_grad(image_loss)(splats)
-    (gradients,) = pull_back(d_splats)
+    (gradients,) = pull_back((d_splats, jnp.ones_like(prior)))
 
     gradients = optimizer.without_locked_bands(gradients, state.step, recipe.sh_every)
-    progress = state.step.astype(jnp.float32) / recipe.steps
+    progress = state.step / state.total
     rates = recipe.learning_rates.at(progress, state.extent, gradients.sh.shape[1])
     gaussians, opt_state = optimizer.update(state.gaussians, gradients, state.opt_state, rates)
+    gaussians = lax.optimization_barrier(gaussians)
+    gaussians = recipe.noise(gaussians, rates.means[0, 0], state.extent, noise_key)
     return replace(
         state,
         step=state.step + 1,

@@ -20,7 +20,7 @@ import numpy as np
 
 from splatax.errors import FormatError
 from splatax.gaussians import Gaussians
-from splatax.io.formats import compressed_ply, glb, ksplat, ply, sog, splat, spz
+from splatax.io.formats import compressed_ply, glb, ksplat, ply, sog, sog_folder, splat, spz
 
 FORMATS: dict[str, ModuleType] = {
     ".ply": ply,
@@ -28,7 +28,7 @@ FORMATS: dict[str, ModuleType] = {
     ".splat": splat,
     ".spz": spz,
     ".sog": sog,
-    "meta.json": sog,  # of a SOG in a folder
+    "meta.json": sog_folder,
     ".glb": glb,
     ".ksplat": ksplat,
 }

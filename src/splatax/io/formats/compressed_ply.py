@@ -83,8 +83,9 @@ def save(path: Path, gaussians: Gaussians, *, comments: tuple[str, ...] = ()) ->
         "chunk": _rows(np.concatenate(chunks, axis=1).astype("<f4"), names),
         "vertex": _rows(packed, PACKED),
     }
-    if gaussians.sh_degree > 0:
-        levels = _sh_levels(np.asarray(gaussians.sh[:, 1:])[order])
+    rest = np.asarray(gaussians.sh[:, 1:])[order]
+    if rest.any():  # there is no level for zero, and +-1/64 in all of them would tint the scene
+        levels = _sh_levels(rest)
         elements["sh"] = _rows(levels, [f"f_rest_{i}" for i in range(levels.shape[1])])
     ply_table.write(path, elements, comments)
 

@@ -143,10 +143,10 @@ def save(path: Path, gaussians: Gaussians, *, comments: tuple[str, ...] = ()) ->
     """Writes a zip, in Morton order.
 
     Raises:
-        FormatError: if there is nothing to write, or the path is that of a folder's meta.json.
+        FormatError: if there is nothing to write.
     """
-    if len(gaussians) == 0 or path.name.endswith(META):
-        raise FormatError(f"{path}: a SOG file needs a Gaussian, and a name that ends in .sog.")
+    if len(gaussians) == 0:
+        raise FormatError(f"{path}: a SOG file needs at least one Gaussian.")
     order = morton.order(np.asarray(gaussians.means))
     logs = np.asarray(gaussians.means, np.float64)[order]
     logs = np.sign(logs) * np.log1p(np.abs(logs))
@@ -154,9 +154,10 @@ def save(path: Path, gaussians: Gaussians, *, comments: tuple[str, ...] = ()) ->
     words = np.rint((logs - mins) / np.where(maxs > mins, maxs - mins, 1) * 65535).astype(np.uint16)
     largest, others = packing.smallest_three(packing.unit(np.asarray(gaussians.quats)[order]))
     rotations = packing.levels(others / packing.SQRT_HALF / 2 + np.float32(0.5), 255)
-    scales, scale_of = clusters.codebook(
-        packing.finite_log_scales(np.asarray(gaussians.log_scales)[order]).ravel(), CODES
-    )
+    log_scales = packing.finite_log_scales(np.asarray(gaussians.log_scales)[order]).ravel()
+    # An error is seen the more the larger a Gaussian is.
+    seen = np.exp(log_scales.astype(np.float64) - log_scales.max())
+    scales, scale_of = clusters.codebook(log_scales, CODES, weights=seen)
     colors, color_of = clusters.codebook(np.asarray(gaussians.sh[:, 0])[order].ravel(), CODES)
     opacities = packing.opacity_levels(np.asarray(gaussians.opacity_logits)[order])
     textures = {

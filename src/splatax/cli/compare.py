@@ -1,0 +1,179 @@
+"""`splatax compare`: finished runs side by side."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.progress import track
+from rich.table import Column, Table
+from rich.text import Text
+
+import splatax as sx
+from splatax.cli.display import duration
+from splatax.cli.options import BackendName, Model, load_scene, read_model, resolve_backend
+from splatax.cli.runs import FinishedRun, check_comparable, psnr_of, read_runs
+from splatax.cli.session import claim
+from splatax.dataset import mask_of
+from splatax.errors import InputError
+from splatax.evaluation import photo_of, picture
+from splatax.io.files import write_whole
+from splatax.report.side_by_side import Curve, Lineup, Row, side_by_side
+from splatax.training.backgrounds import BACKGROUNDS
+
+UNKNOWN = "-"
+NOT_OF_THE_METHOD = {"scene", "out", "overwrite", "backend", "eval_every"}  # options that change no picture
+
+
+@dataclass(frozen=True)
+class Compare:
+    """Put finished runs of one capture side by side: numbers, curves and pictures.
+
+    Prints a table and writes compare.html, which needs nothing else.
+    """
+
+    runs: tyro.conf.Positional[tuple[Path, ...]]
+    """Folders of two runs or more."""
+    out: Path | None = None
+    """Folder for compare.html. Without it: "compare" beside the first run."""
+    scene: Path | None = None
+    """Folder of the capture. Without it: where it was when the runs were trained."""
+    backend: BackendName = "auto"
+    """Rasterizer."""
+
+    def run(self) -> None:
+        if len(self.runs) < 2:
+            raise InputError("compare: give the folders of two runs or more.")
+        runs = read_runs(self.runs)
+        check_comparable(runs, scene_given=self.scene is not None)
+        models = [read_model(run.folder, None) for run in runs]
+        views = [views_of(run, model, self.scene) for run, model in zip(runs, models, strict=True)]
+        check_sizes(runs, views)
+        out = self.out or self.runs[0].resolve().parent / "compare"
+        claim(out, overwrite=True)
+
+        rows = rows_of(runs)
+        Console().print(table_of(runs, rows))
+        backend = resolve_backend(self.backend)
+        lineups = [
+            lineup(runs, models, views[0][name], backend) for name in track(runs[0].test_psnr, "rendering")
+        ]
+        page = side_by_side([run.name for run in runs], rows, [curve_of(run) for run in runs], lineups)
+        write_whole(out / "compare.html", page.encode())
+        print(f"compare {out / 'compare.html'}")
+
+
+def views_of(run: FinishedRun, model: Model, scene: Path | None) -> dict[str, sx.View]:
+    """The views that a run was tested on, by name.
+
+    Raises:
+        InputError: if the capture is not there, or lacks one of them.
+    """
+    scene = scene or run.scene
+    if not scene.exists():
+        raise InputError(f"{run.folder}: its capture is no longer at {scene}. Say where it is: --scene.")
+    views = {view.name: view for view in load_scene(scene, None, model).views}
+    if missing := sorted(run.test_psnr.keys() - views.keys()):
+        raise InputError(
+            f"{scene}: no photo {missing[0]}, which {run.folder} was tested on. Give the capture as it was: "
+            "--scene."
+        )
+    return {name: views[name] for name in run.test_psnr}
+
+
+def check_sizes(runs: Sequence[FinishedRun], views: Sequence[dict[str, sx.View]]) -> None:
+    """Checks that all runs were measured on photos of one size.
+
+    Raises:
+        InputError: if not; it says what differs.
+    """
+    for run, its_views in zip(runs[1:], views[1:], strict=True):
+        for name, view in its_views.items():
+            ours, theirs = view.camera, views[0][name].camera
+            if (ours.width, ours.height) != (theirs.width, theirs.height):
+                raise InputError(
+                    f"{run.folder}: measured on photos of {ours.width} x {ours.height} pixels, but "
+                    f"{runs[0].folder} on {theirs.width} x {theirs.height}. Compare runs of one --downscale."
+                )
+
+
+def lineup(runs: Sequence[FinishedRun], models: Sequence[Model], view: sx.View, backend: str) -> Lineup:
+    """A test view as each run shows it.
+
+    Raises:
+        InputError: if the photo is transparent, and the runs saw it over different backgrounds.
+    """
+    backgrounds = [BACKGROUNDS[run.options["background"] or "black"].rgb for run in runs]
+    photo = photo_of(view, backgrounds[0])
+    for run, background in zip(runs, backgrounds, strict=True):
+        if background != backgrounds[0] and np.any(photo_of(view, background) != photo):
+            raise InputError(
+                f"{run.folder}: saw {view.name}, which is transparent, over another background than "
+                f"{runs[0].folder}. Compare runs of one --background."
+            )
+    images = tuple(
+        picture(model.gaussians, view.camera, background=background, low_pass=model.low_pass, backend=backend)
+        for model, background in zip(models, backgrounds, strict=True)
+    )
+    return Lineup(view.name, photo, images, tuple(run.test_psnr[view.name] for run in runs), mask_of(view))
+
+
+def curve_of(run: FinishedRun) -> Curve:
+    """Test PSNR over the time of training."""
+    evaluations = run.metrics["evaluations"]
+    return Curve(tuple(e["seconds"] for e in evaluations), tuple(psnr_of(e) for e in evaluations))
+
+
+def rows_of(runs: Sequence[FinishedRun]) -> list[Row]:
+    """What was measured, and the options in which the runs differ."""
+    tests = [run.metrics["test"] for run in runs]
+    rows = [
+        row("test PSNR, dB", [psnr_of(test) for test in tests], "{:.3f}".format, best=max),
+        row("SSIM", [test["ssim"] for test in tests], "{:.4f}".format, best=max),
+        row("corrected PSNR, dB", [t.get("corrected_psnr") for t in tests], "{:.3f}".format, best=max),
+        row("Gaussians", [run.metrics["gaussians"] for run in runs], "{:,}".format),
+        row("training", [run.metrics["train_seconds"] for run in runs], duration),
+        row("steps", [run.metrics["steps"] for run in runs], "{:,}".format),
+        row("peak memory", [run.metrics["peak_rss_bytes"] for run in runs], megabytes),
+        row("scene.ply", [(run.folder / "scene.ply").stat().st_size for run in runs], megabytes),
+        row("recipe", [run.options["recipe"] for run in runs], str),
+    ]
+    shown = {"recipe", "steps", *NOT_OF_THE_METHOD}
+    for name in sorted({name for run in runs for name in run.options} - shown):
+        values = [run.options.get(name) for run in runs]
+        if any(value != values[0] for value in values):
+            rows.append(row(f"--{name.replace('_', '-')}", values, str))
+    return rows
+
+
+def row(
+    label: str,
+    values: Sequence[Any],
+    words: Callable[[Any], str],
+    best: Callable[[Sequence[Any]], Any] | None = None,
+) -> Row:
+    """A row of the table; what a run does not tell is unknown."""
+    known = [value for value in values if value is not None]
+    chosen = best(known) if best and known and any(value != known[0] for value in known) else None
+    return Row(
+        label,
+        tuple(UNKNOWN if value is None else words(value) for value in values),
+        tuple(chosen is not None and value == chosen for value in values),
+    )
+
+
+def megabytes(size: int) -> str:
+    """ "12.3 MB"."""
+    return f"{size / 1e6:,.1f} MB"
+
+
+def table_of(runs: Sequence[FinishedRun], rows: Sequence[Row]) -> Table:
+    """A column for each run."""
+    table = Table("", *(Column(Text(run.name), justify="right", overflow="fold") for run in runs))
+    for entry in rows:
+        cells = zip(entry.cells, entry.best, strict=True)
+        table.add_row(entry.label, *(Text(cell, style="bold" if best else "") for cell, best in cells))
+    return table

@@ -1,0 +1,69 @@
+"""Masks beside the photos of a capture, as COLMAP and nerfstudio have them: black does not count.
+
+CAPTURE/masks/NAME.jpg.png  or  CAPTURE/masks/NAME.png     for the photo NAME.jpg
+"""
+
+from collections.abc import Callable, Iterable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from splatax.dataset import Mask, Pixels
+from splatax.errors import DatasetError
+from splatax.io import images
+
+FOLDER = "masks"
+
+
+def masks_of(capture: Path, names: Iterable[str]) -> dict[str, Path]:
+    """The mask of each photo that has one.
+
+    Raises:
+        DatasetError: if there are masks, but none of them bears the name of a photo.
+    """
+    folder = capture / FOLDER
+    masks = {}
+    for name in names:
+        candidates = (folder / f"{name}.png", (folder / name).with_suffix(".png"))
+        if found := [path for path in candidates if path.is_file()]:
+            masks[name] = found[0]
+    present = sum(images.is_image(path) for path in folder.rglob("*"))
+    if present and not masks:
+        raise DatasetError(
+            f"{folder}: none of its {present} masks has the name of a registered photo: NAME.png or "
+            "NAME.jpg.png for NAME.jpg. Rename them, or move the folder away to train without masks."
+        )
+    return masks
+
+
+def decoder(
+    path: Path, photo: tuple[int, int], straighten: Callable[[Pixels], Pixels], view: tuple[int, int]
+) -> Callable[[], Mask]:
+    """Reads the mask when it is needed, and brings it into the form of its view.
+
+    Args:
+        path: of the mask, of the photo's proportions.
+        photo: width and height of the photo on disk.
+        straighten: removes the lens's distortion from pictures of that size.
+        view: width and height of the view.
+
+    Raises:
+        DatasetError: if the mask has other proportions than the photo.
+    """
+    (width, height), (photo_width, photo_height) = images.size_of(path), photo
+    rounding = 1.5 * max(width / photo_width, 1)  # pixels, of a side that was resized
+    if abs(width * photo_height / photo_width - height) > rounding:
+        raise DatasetError(
+            f"{path}: {width} x {height} pixels, but its photo {photo_width} x {photo_height}: other "
+            "proportions. Make the mask from that photo, turned the same way."
+        )
+    return partial(decode, path, photo, straighten, view)
+
+
+def decode(
+    path: Path, photo: tuple[int, int], straighten: Callable[[Pixels], Pixels], view: tuple[int, int]
+) -> Mask:
+    mask = images.resize_mask(images.read_mask(path), *photo)
+    shades = np.repeat(np.where(mask, np.uint8(255), np.uint8(0))[..., None], 3, axis=2)
+    return images.resize_mask(straighten(shades)[..., 0] > 127, *view)

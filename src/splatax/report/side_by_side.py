@@ -1,0 +1,115 @@
+"""Several runs of one capture side by side: numbers, curves and pictures, in one HTML file."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from PIL import Image, ImageDraw
+from scipy.ndimage import uniform_filter
+
+from splatax.dataset import Mask
+from splatax.report.curves import psnr_over_time
+from splatax.report.page import fill
+from splatax.report.pictures import Picture, data_uri
+
+COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f")
+CROP_SHARE = 1 / 5  # of the shorter side of a picture
+CROP_SHOWN = 360  # pixels that a crop is enlarged to, at least
+
+
+@dataclass(frozen=True)
+class Row:
+    """One quantity of all runs, in words; `best` marks the best where that means something."""
+
+    label: str
+    cells: tuple[str, ...]
+    best: tuple[bool, ...]
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Test PSNR, dB, at seconds of training."""
+
+    seconds: tuple[float, ...]
+    psnr: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Lineup:
+    """A test view: its photo, what each run shows from there, and the PSNR of each, dB."""
+
+    name: str
+    photo: Picture
+    images: tuple[Picture, ...]
+    psnr: tuple[float, ...]
+    mask: Mask | None = None
+
+
+def side_by_side(
+    names: Sequence[str], rows: Sequence[Row], curves: Sequence[Curve], lineups: Sequence[Lineup]
+) -> str:
+    """The page.
+
+    Args:
+        names: of the runs; all that follows is in their order.
+        rows: of the table.
+        curves: of each run.
+        lineups: of the test views; shown with the largest difference in PSNR first.
+    """
+    colors = [COLORS[i % len(COLORS)] for i in range(len(names))]
+    ordered = sorted(lineups, key=lambda lineup: max(lineup.psnr) - min(lineup.psnr), reverse=True)
+    return fill(
+        "side_by_side.html",
+        title=" | ".join(names),
+        runs=list(zip(names, colors, strict=True)),
+        rows=rows,
+        curves=psnr_over_time([(c.seconds, c.psnr) for c in curves], colors),
+        views=[view_of(lineup) for lineup in ordered],
+    )
+
+
+def view_of(lineup: Lineup) -> dict[str, object]:
+    """What the page needs of a view."""
+    box = most_different(lineup.images, lineup.mask)
+    best = max(lineup.psnr)
+    return {
+        "name": lineup.name,
+        "photo": data_uri(outlined(lineup.photo, box)),
+        "photo_crop": data_uri(enlarged(lineup.photo, box)),
+        "images": [data_uri(image) for image in lineup.images],
+        "crops": [data_uri(enlarged(image, box)) for image in lineup.images],
+        "psnr": [(value, value == best) for value in lineup.psnr],
+    }
+
+
+def most_different(images: Sequence[Picture], mask: Mask | None = None) -> tuple[int, int, int, int]:
+    """Where pictures differ most: left, top, right and bottom of a square inside them, pixels."""
+    height, width = images[0].shape[:2]
+    side = max(1, round(min(height, width) * CROP_SHARE))
+    spread = np.ptp(np.stack(images).astype(np.float64), axis=0).mean(axis=2)
+    if mask is not None:
+        spread = np.where(mask, spread, 0)
+    before = side // 2  # pixels of the square before the one that the filter calls its centre
+    inside = uniform_filter(spread, side)[
+        before : before + height - side + 1, before : before + width - side + 1
+    ]
+    top, left = (int(i) for i in np.unravel_index(np.argmax(inside), inside.shape))
+    return left, top, left + side, top + side
+
+
+def enlarged(picture: Picture, box: tuple[int, int, int, int]) -> Picture:
+    """A part of a picture with its pixels as squares."""
+    crop = Image.fromarray(picture).crop(box)
+    factor = -(-CROP_SHOWN // crop.width)
+    return np.array(crop.resize((crop.width * factor, crop.height * factor), Image.Resampling.NEAREST))
+
+
+def outlined(picture: Picture, box: tuple[int, int, int, int]) -> Picture:
+    """A copy with a frame around a part of it."""
+    image = Image.fromarray(picture)
+    left, top, right, bottom = box
+    line = max(1, image.width // 360)
+    ImageDraw.Draw(image).rectangle(
+        (left - line, top - line, right + line - 1, bottom + line - 1), outline="red", width=line
+    )
+    return np.array(image)

@@ -1,0 +1,186 @@
+"""A run between two steps as a file: what is read goes on bit for bit as what was written.
+
+The file is an uncompressed `.npz`: each array of the run under its path in the state, and a header in
+JSON. Every member carries a CRC-32, so a file that was cut short or has a flipped bit is refused.
+"""
+
+import hashlib
+import json
+import struct
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from splatax.dataset import Dataset
+from splatax.errors import FormatError
+from splatax.gaussians import Gaussians
+from splatax.math import harmonics
+from splatax.training.loop import RunState, first_state
+from splatax.training.recipes import Recipe
+from splatax.training.step import TrainState
+
+HEADER = "header"  # name of its member
+STATE = "state/"  # what the names of the run's arrays start with
+DAMAGES = (  # what reading a damaged file may raise
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    ValueError,
+    KeyError,
+    EOFError,
+    RuntimeError,
+    OverflowError,
+    OSError,
+)
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A run in the memory of the host.
+
+    Attributes:
+        header: of JSON values.
+        arrays: by name; those of the run's state start with "state/".
+    """
+
+    header: Mapping[str, Any]
+    arrays: Mapping[str, np.ndarray]
+
+    @property
+    def step(self) -> int:
+        """How many have been made."""
+        return int(self.header["step"])
+
+
+def take(state: RunState, header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Checkpoint:
+    """Copies a run to the host, so that steps may go on while it is written.
+
+    Args:
+        state: of the run.
+        header: what else to keep, as JSON values.
+        arrays: what else to keep, under names of their own.
+    """
+    leaves, _ = jax.tree_util.tree_flatten_with_path(state.train)
+    # A copy, not a view: a view of a device array keeps the next step from using its memory again.
+    copies = {name_of(path): np.array(_plain(leaf)) for path, leaf in leaves}
+    counts = {"step": int(state.train.step), "count": state.count}
+    return Checkpoint({**header, **counts}, {**arrays, **copies})
+
+
+def restore(checkpoint: Checkpoint, recipe: Recipe) -> RunState:
+    """The run on the device, as it was.
+
+    Raises:
+        FormatError: if it does not hold the state of a run by this recipe.
+    """
+    stored = {name: array for name, array in checkpoint.arrays.items() if name.startswith(STATE)}
+    expected, tree = jax.tree_util.tree_flatten_with_path(_shapes(stored, recipe))
+    names = [name_of(path) for path, _ in expected]
+    if set(names) != set(stored):
+        strange = ", ".join(sorted(set(names) ^ set(stored)))
+        raise FormatError(f"the state of another kind of run: {strange}")
+    leaves = [_as(stored[name], leaf, name) for name, (_, leaf) in zip(names, expected, strict=True)]
+    return RunState(jax.tree.unflatten(tree, leaves), int(checkpoint.header["count"]))
+
+
+def write(file: BinaryIO, checkpoint: Checkpoint) -> None:
+    """Writes a checkpoint to a file that can seek."""
+    contents = {**checkpoint.header, "arrays": list(checkpoint.arrays)}
+    header = np.frombuffer(json.dumps(contents).encode(), np.uint8)
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
+        for name, array in {HEADER: header, **checkpoint.arrays}.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, array, allow_pickle=False)
+
+
+def read(path: Path) -> Checkpoint:
+    """Reads a checkpoint.
+
+    Raises:
+        FormatError: if it is damaged.
+        OSError: if there is none.
+    """
+    with path.open("rb") as file:
+        try:
+            return _read(file)
+        except DAMAGES as error:
+            raise FormatError(f"{path}: damaged ({str(error).rstrip('.') or 'cut short'}).") from error
+
+
+def _read(file: BinaryIO) -> Checkpoint:
+    with zipfile.ZipFile(file) as archive:
+        damaged = archive.testzip()  # first: what reads an array trusts its bytes
+    if damaged:
+        raise zipfile.BadZipFile(damaged)
+    file.seek(0)
+    with np.load(file, allow_pickle=False) as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    header = json.loads(arrays.pop(HEADER).tobytes())
+    if header.pop("arrays") != list(arrays):
+        raise ValueError("arrays are missing")
+    return Checkpoint(header, arrays)
+
+
+def fingerprint(dataset: Dataset) -> dict[str, Any]:
+    """What tells one capture from another, as JSON values: names and sizes of the photos, cameras and
+    points. What is in the photos is not looked at."""
+    views = dataset.train + dataset.test
+    sizes = [(view.name, view.camera.width, view.camera.height, view.mask is not None) for view in views]
+    cameras = [np.asarray(leaf) for view in views for leaf in jax.tree.leaves(view.camera)]
+    return {
+        "photos": f"{len(dataset.train)} to train on and {len(dataset.test)} held out",
+        "names, sizes and masks of photos": _digest(repr(sizes).encode()),
+        "cameras": _digest(*(array.tobytes() for array in cameras)),
+        "points": f"{len(dataset.points)}, "
+        + _digest(dataset.points.positions.tobytes(), dataset.points.colors.tobytes()),
+    }
+
+
+def name_of(path: tuple[Any, ...]) -> str:
+    """Of a leaf of the state, in the file."""
+    return STATE + jax.tree_util.keystr(path, simple=True, separator="/")
+
+
+def _shapes(stored: Mapping[str, np.ndarray], recipe: Recipe) -> TrainState:
+    """The state that a run by this recipe has when its scene is as large as the stored one."""
+    means = stored.get(STATE + "gaussians/means", np.zeros((0, 3), np.float32))
+    rows = means.shape[0] if means.ndim else 0
+
+    def empty(*shape: int):
+        return jax.ShapeDtypeStruct((rows, *shape), jnp.float32)
+
+    gaussians = Gaussians(empty(3), empty(4), empty(3), empty(), empty(harmonics.count(recipe.sh_degree), 3))
+    return jax.eval_shape(partial(first_state, recipe=recipe, extent=1.0), gaussians)
+
+
+def _plain(leaf: Any) -> Any:
+    """Random keys as the numbers they are made of."""
+    return jax.random.key_data(leaf) if _is_key(leaf) else leaf
+
+
+def _as(array: np.ndarray, expected: jax.ShapeDtypeStruct, name: str) -> jax.Array:
+    if _is_key(expected):
+        return jax.random.wrap_key_data(jnp.array(array))
+    if (array.shape, array.dtype) != (expected.shape, expected.dtype):
+        found, wanted = f"{array.dtype}{array.shape}", f"{expected.dtype}{expected.shape}"
+        raise FormatError(f"the state of another kind of run: {name} is {found}, not {wanted}")
+    return jnp.array(array)
+
+
+def _is_key(leaf: Any) -> bool:
+    return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+
+
+def _digest(*parts: bytes) -> str:
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(part)
+    return digest.hexdigest()[:16]

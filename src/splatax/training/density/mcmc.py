@@ -1,0 +1,157 @@
+"""Move what is dead to where the scene is, and grow to a given number (3DGS-MCMC, Kheradmand et al. 2024).
+
+Gaussians are seen as samples of a distribution. A sample that has faded is moved onto another, and new
+ones are put there too, such that the image stays nearly as it is; the noise of `Langevin` then
+drives them apart.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+
+from splatax.gaussians import Gaussians
+from splatax.splats import Splats
+from splatax.training.capacity import bucket_for, with_empty_slots
+from splatax.training.density.protocol import Lineage, Refinement
+
+MOST_COPIES = 51  # that a Gaussian is replaced by at once (the authors' limit)
+
+
+@dataclass(frozen=True)
+class ByFactor:
+    """So many times as many at each refinement (the authors' growth)."""
+
+    factor: float = 1.05
+
+    def after(self, count: int, step: int, every: int, max_gaussians: int) -> int:
+        """How many there shall be after a refinement."""
+        return min(int(self.factor * count), max_gaussians)
+
+
+@dataclass(frozen=True)
+class ByStep:
+    """By equal factors, so many that the most are reached at a given step."""
+
+    full: int  # step at which there are as many as there may be
+
+    def after(self, count: int, step: int, every: int, max_gaussians: int) -> int:
+        """How many there shall be after a refinement."""
+        refinements = max((self.full - step) // every, 0) + 1  # to come, this one among them
+        return round(count * (max_gaussians / count) ** (1 / refinements))
+
+
+@dataclass(frozen=True)
+class Mcmc:
+    """Relocation and growth, with the authors' settings."""
+
+    every: int = 100  # steps between refinements
+    start: int = 500  # step up to which there is none
+    until: int = 25_000  # step from which on there is none
+    growth: ByFactor | ByStep = ByFactor()
+    min_opacity: float = 0.005  # not above it: dead, and moved onto a living one
+    max_gaussians: int = 1_000_000
+
+    def init(self, capacity: int) -> tuple[()]:
+        return ()
+
+    def observe(self, state: tuple[()], splats: Splats, d_splats: Splats) -> tuple[()]:
+        return state
+
+    def due(self, step: int) -> bool:
+        return self.start < step < self.until and step % self.every == 0
+
+    def refine(
+        self, state: tuple[()], gaussians: Gaussians, count: int, step: int, extent: float, key: PRNGKeyArray
+    ) -> Refinement:
+        opacities = np.asarray(gaussians.opacities, np.float64)[:count]
+        dead = opacities <= self.min_opacity
+        if dead.all():  # nothing to move onto
+            rows = len(gaussians)
+            return Refinement(gaussians, count, Lineage(jnp.arange(rows), jnp.zeros(rows, bool)), state)
+        grown = max(self.growth.after(count, step, self.every, self.max_gaussians), count)
+        seekers = np.concatenate([np.flatnonzero(dead), np.arange(count, grown)])
+        sources = in_proportion(np.where(dead, 0, opacities), len(seekers), key)
+
+        parent = np.arange(bucket_for(grown, len(gaussians)))
+        parent[seekers] = sources
+        parent[grown:] = 0
+        shares = np.minimum(1 + np.bincount(sources, minlength=count), MOST_COPIES)
+        opacity, factor = shared(opacities, shares)
+        opacity = np.clip(opacity, self.min_opacity, 1 - np.finfo(np.float32).eps)
+        newborn = (shares > 1)[parent]  # sources among them
+        newborn[grown:] = True
+        return Refinement(
+            _moved(
+                gaussians,
+                jnp.asarray(parent),
+                jnp.asarray(newborn),
+                jnp.asarray(np.log(opacity / (1 - opacity))[parent], jnp.float32),
+                jnp.asarray(np.log(factor)[parent], jnp.float32),
+                jnp.int32(grown),
+            ),
+            grown,
+            Lineage(jnp.asarray(parent), jnp.asarray(newborn)),
+            state,
+        )
+
+
+def in_proportion(weights: Float[np.ndarray, " n"], draws: int, key: PRNGKeyArray) -> Int[np.ndarray, " m"]:
+    """Indices drawn with replacement, each as often as its share of the weights, by expectation.
+
+    One draw from each of `draws` equal parts of the cumulated weights: less clumped than independent ones.
+    """
+    ends = np.cumsum(weights)
+    offsets = np.random.default_rng(np.asarray(jax.random.key_data(key))).random(draws)
+    index = np.searchsorted(ends, (np.arange(draws) + offsets) / max(draws, 1) * ends[-1], side="right")
+    return np.minimum(index, np.flatnonzero(weights)[-1])
+
+
+def shared(
+    opacities: Float[np.ndarray, " n"], shares: Int[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Opacity, and factor of the scales, of N Gaussians that look as one did (Kheradmand et al. 2024, Eq. 9).
+
+    Drawn over each other, N of opacity o' = 1 - (1 - o)^(1/N) cover as much in the centre, and in
+    total if the scales are multiplied by
+
+        o / sum_i sum_k C(i-1, k) (-1)^k o'^(k+1) / sqrt(k+1),   k < i <= N,
+      = o / sum_j C(N, j) (-1)^(j-1) o'^j / sqrt(j),             1 <= j <= N.
+
+    Args:
+        opacities: o.
+        shares: N, at most `MOST_COPIES`.
+    """
+    part = 1 - (1 - opacities) ** (1 / shares)
+    total = np.zeros_like(opacities)
+    for j in range(1, int(shares.max(initial=1)) + 1):
+        choose = _BINOMIALS[shares, j]
+        total += choose * (-1) ** (j - 1) * part**j / math.sqrt(j)
+    return part, np.where(shares > 1, opacities / np.where(shares > 1, total, 1), 1)
+
+
+_BINOMIALS = np.array(
+    [[float(math.comb(n, j)) for j in range(MOST_COPIES + 1)] for n in range(MOST_COPIES + 1)]
+)
+
+
+@jax.jit
+def _moved(
+    gaussians: Gaussians,
+    parent: Int[Array, " m"],
+    newborn: Bool[Array, " m"],
+    opacity_logits: Float[Array, " m"],
+    log_factors: Float[Array, " m"],
+    count: Int[Array, ""],
+) -> Gaussians:
+    """Copies of their parents, with new opacities and scales where those were shared."""
+    moved = jax.tree.map(lambda leaf: leaf[parent], gaussians)
+    moved = replace(
+        moved,
+        opacity_logits=jnp.where(newborn, opacity_logits, moved.opacity_logits),
+        log_scales=moved.log_scales + log_factors[:, None],
+    )
+    return with_empty_slots(moved, count)

@@ -1,0 +1,401 @@
+"""A run that was stopped, whatever by, and gone on with ends with the same bytes as one that was not."""
+
+import errno
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import splatax as sx
+from captures import write_capture
+from shortened import shortened
+from splatax import cli
+from splatax.cli import resume, session, train
+from splatax.training.recipes import RECIPES
+
+STEPS = 24
+
+
+class PowerCut(Exception):
+    """Ends a run where it is."""
+
+
+@pytest.fixture
+def stopped_at(monkeypatch):
+    """Makes the next runs end after a step, before they can save themselves once more."""
+
+    def stop(step):
+        def optimize(*arguments):
+            for progress in sx.training.loop.optimize(*arguments):
+                if progress.step == step:
+                    raise PowerCut
+                yield progress
+
+        monkeypatch.setattr(session.sx, "optimize", optimize)
+
+    return stop
+
+
+def start(capture, out, *options):
+    arguments = ["train", capture, "--out", out, "--steps", STEPS, "--checkpoint-steps", 5, *options]
+    cli.main([str(argument) for argument in arguments])
+
+
+def go_on(path, *options):
+    cli.main(["train", "--resume", str(path), *map(str, options)])
+
+
+def refused(capsys, command, *arguments) -> str:
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as exit:
+        command(*arguments)
+    assert exit.value.code == 2
+    error = capsys.readouterr().err
+    assert error.startswith("splatax: ")
+    assert error.count("\n") == 1
+    return error
+
+
+@pytest.fixture(params=RECIPES)
+def recipe(request, monkeypatch):
+    """The name of a recipe, which is shortened so that it refines between the stops."""
+    short = shortened(request.param)
+
+    def make(steps, **_):
+        return replace(short, steps=steps)
+
+    monkeypatch.setitem(train.RECIPES, request.param, make)
+    return request.param
+
+
+@pytest.fixture
+def stopped(capture, tmp_path, stopped_at, monkeypatch):
+    """The folder of a run that ended at step 13, with checkpoints of 5 and 10."""
+    stopped_at(13)
+    with pytest.raises(PowerCut):
+        start(capture, tmp_path / "run")
+    monkeypatch.setattr(session.sx, "optimize", sx.training.loop.optimize)
+    return tmp_path / "run"
+
+
+def kept(run):
+    return sorted(path.name for path in (run / "checkpoints").iterdir())
+
+
+def test_a_run_that_was_stopped_again_and_again_ends_with_the_same_bytes(
+    recipe, capture, tmp_path, stopped_at, monkeypatch
+):
+    options = ("--recipe", recipe, "--eval-every", "8", "--background", "random")
+    start(capture, tmp_path / "whole", *options)
+    stopped_at(9)
+    with pytest.raises(PowerCut):
+        start(capture, tmp_path / "run", *options)
+    for stop in (10, 11, 23):
+        stopped_at(stop)
+        with pytest.raises(PowerCut):
+            go_on(tmp_path / "run")
+    monkeypatch.setattr(session.sx, "optimize", sx.training.loop.optimize)
+    go_on(tmp_path / "run")
+    for name in ("scene.ply", "progress.gif"):
+        assert (tmp_path / "run" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+    whole, run = (json.loads((tmp_path / f / "metrics.json").read_text()) for f in ("whole", "run"))
+    for key in ("test", "steps", "gaussians", "final_loss", "interrupted"):
+        assert run[key] == whole[key]
+    assert [(e["step"], e["psnr"]) for e in run["evaluations"]] == [
+        (e["step"], e["psnr"]) for e in whole["evaluations"]
+    ]
+    assert not (tmp_path / "run" / "checkpoints").exists()
+
+
+def test_the_scene_grows_between_the_stops(capture, tmp_path, recipe):
+    """So that the test above protects refinements too."""
+    start(capture, tmp_path, "--recipe", recipe)
+    assert json.loads((tmp_path / "metrics.json").read_text())["gaussians"] != 30
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_saves_writes_the_results_and_says_how_to_go_on(
+    capture, tmp_path, monkeypatch, capsys, number
+):
+    def optimize(*arguments):
+        for progress in sx.training.loop.optimize(*arguments):
+            if progress.step == 7:
+                os.kill(os.getpid(), number)
+            yield progress
+
+    before = signal.getsignal(signal.SIGTERM)
+    start(capture, tmp_path / "whole")
+    monkeypatch.setattr(session.sx, "optimize", optimize)
+    start(capture, tmp_path / "run", "--checkpoint-every", "0", "--checkpoint-steps", "0")
+    assert signal.getsignal(signal.SIGTERM) == before
+    assert f"stopped at step 7. Go on: splatax train --resume {tmp_path / 'run'}" in capsys.readouterr().out
+    assert (tmp_path / "run" / "scene.ply").exists()
+    assert kept(tmp_path / "run") == ["00000007.npz"]
+    monkeypatch.setattr(session.sx, "optimize", sx.training.loop.optimize)
+    go_on(tmp_path / "run")
+    assert "going on after step 7 of 24" in capsys.readouterr().out
+    assert (tmp_path / "run" / "scene.ply").read_bytes() == (tmp_path / "whole" / "scene.ply").read_bytes()
+    assert json.loads((tmp_path / "run" / "metrics.json").read_text())["interrupted"] is False
+
+
+def test_a_second_signal_stops_at_once(capture, tmp_path, monkeypatch):
+    def optimize(*arguments):
+        for progress in sx.training.loop.optimize(*arguments):
+            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), signal.SIGINT)
+            yield progress
+
+    monkeypatch.setattr(session.sx, "optimize", optimize)
+    with pytest.raises(SystemExit) as exit:
+        start(capture, tmp_path)
+    assert exit.value.code == 130
+    assert not (tmp_path / "scene.ply").exists()
+
+
+# --- what is refused ---
+
+
+def test_a_stopped_run_is_not_replaced_unless_told(stopped, capture, capsys):
+    error = refused(capsys, start, capture, stopped)
+    assert f"--resume {stopped}" in error
+    assert "--overwrite" in error
+    assert kept(stopped) == ["00000005.npz", "00000010.npz"]
+    assert "--overwrite" in refused(capsys, cli.main, ["demo", "--out", str(stopped)])
+    start(capture, stopped, "--overwrite")
+    assert (stopped / "scene.ply").exists()
+
+
+def test_nothing_to_go_on_with(capture, tmp_path, capsys, trained):
+    assert "the run is finished" in refused(capsys, go_on, trained)
+    assert "no such run" in refused(capsys, go_on, tmp_path / "nowhere")
+    assert "stopped here before its first" in refused(capsys, go_on, tmp_path)
+    (tmp_path / "scene.ply").write_bytes(b"")
+    assert "no checkpoint" in refused(capsys, go_on, tmp_path / "scene.ply")
+    assert "--resume" in refused(capsys, cli.main, ["train"])
+
+
+def test_a_run_killed_before_its_first_checkpoint_can_be_started_again(
+    capture, tmp_path, stopped_at, monkeypatch, capsys
+):
+    stopped_at(3)
+    with pytest.raises(PowerCut):
+        start(capture, tmp_path)
+    assert "stopped here before its first" in refused(capsys, go_on, tmp_path)
+    monkeypatch.setattr(session.sx, "optimize", sx.training.loop.optimize)
+    start(capture, tmp_path)
+
+
+@pytest.mark.parametrize("damage", ["cut", "flipped"])
+def test_a_damaged_checkpoint_is_named_and_the_one_before_offered(stopped, capture, capsys, damage):
+    newest, older = stopped / "checkpoints" / "00000010.npz", stopped / "checkpoints" / "00000005.npz"
+    contents = bytearray(newest.read_bytes())
+    contents[len(contents) // 2] ^= 4
+    newest.write_bytes(contents if damage == "flipped" else contents[: len(contents) // 2])
+    error = refused(capsys, go_on, stopped)
+    assert f"{newest}: damaged" in error
+    assert f"--resume {older}" in error
+    older_contents = older.read_bytes()
+    older.write_bytes(b"")
+    assert "Start the run again" in refused(capsys, go_on, older)
+    older.write_bytes(older_contents)
+    go_on(older)
+    start(capture, stopped.parent / "whole")
+    assert (stopped / "scene.ply").read_bytes() == (stopped.parent / "whole" / "scene.ply").read_bytes()
+
+
+def test_other_options_are_refused_and_named(stopped, capsys, tmp_path):
+    error = refused(capsys, go_on, stopped, "--steps", 30)
+    assert "--steps 30: the run was started with 24" in error
+    assert "--seed 1" in refused(capsys, go_on, stopped, "--seed", 1)
+    assert "--out" in refused(capsys, go_on, stopped, "--out", tmp_path / "elsewhere")
+    assert "--overwrite" in refused(capsys, go_on, stopped, "--overwrite")
+    go_on(stopped, "--steps", STEPS, "--checkpoint-steps", 2)  # the same, and what changes no scene
+
+
+def test_a_capture_that_changed_is_refused(stopped, tmp_path, capsys):
+    other = write_capture(tmp_path / "other", count=8)
+    error = refused(capsys, go_on, stopped, other)
+    assert "the capture of the run changed: photos was 7 to train on and 2 held out, is 7 " in error
+    wider = write_capture(tmp_path / "wider")
+    points = wider / "sparse" / "0" / "points3D.bin"
+    contents = bytearray(points.read_bytes())
+    contents[20] ^= 1  # a coordinate of the first point, in its last bits
+    points.write_bytes(contents)
+    try:
+        assert "the capture of the run changed: points was 30" in refused(capsys, go_on, stopped, wider)
+    finally:
+        assert kept(stopped) == ["00000005.npz", "00000010.npz"]
+
+
+def test_a_run_goes_on_after_its_folder_and_its_capture_moved(capture, stopped, tmp_path, monkeypatch):
+    start(capture, tmp_path / "whole")
+    shutil.copytree(capture, tmp_path / "moved" / "noise")
+    stopped.rename(tmp_path / "renamed")
+    monkeypatch.chdir(tmp_path)
+    go_on("renamed", "moved/noise")
+    assert (tmp_path / "renamed" / "scene.ply").read_bytes() == (tmp_path / "whole/scene.ply").read_bytes()
+
+
+def test_another_version_is_refused(stopped, monkeypatch, capsys):
+    monkeypatch.setattr(resume, "versions", lambda: dict.fromkeys(resume.DECISIVE, "0.0"))
+    error = refused(capsys, go_on, stopped)
+    assert f"the versions of the run changed: splatax was {sx_version()}, is 0.0" in error
+
+
+def sx_version():
+    return cli.doctor.versions()["splatax"]
+
+
+def test_another_recipe_behind_the_same_options_is_refused(stopped, monkeypatch, capsys):
+    name = next(iter(RECIPES))
+    chosen = json.loads(np.load(stopped / "checkpoints" / "00000010.npz")["header"].tobytes())
+    assert chosen["run"]["options"]["recipe"] in RECIPES
+    name = chosen["run"]["options"]["recipe"]
+    make = RECIPES[name]
+    monkeypatch.setitem(train.RECIPES, name, lambda **k: replace(make(**k), sh_every=77))
+    assert "the recipe of the run changed: sh_every was" in refused(capsys, go_on, stopped)
+
+
+def test_another_machine_is_said(stopped, monkeypatch, capsys):
+    monkeypatch.setattr(resume, "device", lambda: "an abacus")
+    go_on(stopped)
+    assert "this is an abacus: what comes out is as good, but not the same bit for bit" in " ".join(
+        capsys.readouterr().out.split()
+    )
+
+
+def test_a_full_disk_stops_training_in_words_and_the_run_goes_on_later(
+    capture, stopped, tmp_path, monkeypatch, capsys
+):
+    fsync = os.fsync
+
+    def full(descriptor):
+        if "00000015" in os.readlink(f"/proc/self/fd/{descriptor}"):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        fsync(descriptor)
+
+    if not os.path.isdir("/proc/self/fd"):
+        pytest.skip("the system does not tell names of open files")
+    start(capture, tmp_path / "whole")
+    monkeypatch.setattr(os, "fsync", full)
+    error = refused(capsys, go_on, stopped)
+    assert "No space left on device" in error
+    assert "go on from 00000010.npz" in error
+    assert kept(stopped) == ["00000005.npz", "00000010.npz"]
+    monkeypatch.setattr(os, "fsync", fsync)
+    go_on(stopped)
+    assert (stopped / "scene.ply").read_bytes() == (tmp_path / "whole" / "scene.ply").read_bytes()
+
+
+# --- whole processes ---
+
+
+class Process:
+    """The command line in a process of its own, in a group of its own."""
+
+    def __init__(self, environment, *arguments, cpus=None):
+        self.popen = subprocess.Popen(
+            [sys.executable, "-c", "from splatax.cli import main; main()", *map(str, arguments)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            env=environment,
+            preexec_fn=(lambda: os.sched_setaffinity(0, cpus)) if cpus else None,
+        )
+        self.output = ""
+
+    def read_until(self, beginning):
+        """Reads lines up to one that begins like this; False if there is none."""
+        for line in self.popen.stdout:
+            self.output += line
+            if line.startswith(beginning):
+                return True
+        return False
+
+    def kill(self):
+        """Kills it; returns whether it had ended before, which must have been well."""
+        self.popen.kill()
+        self.output += self.popen.stdout.read()
+        code = self.popen.wait()
+        assert code in (0, -signal.SIGKILL), self.output
+        return code == 0
+
+    def succeed(self):
+        self.output += self.popen.communicate()[0]
+        assert self.popen.returncode == 0, self.output
+
+
+@pytest.fixture(scope="module")
+def environment(tmp_path_factory):
+    """Programs are compiled once for all processes."""
+    return {**os.environ, "XDG_CACHE_HOME": str(tmp_path_factory.mktemp("cache"))}
+
+
+LONG = ("--steps", 500, "--checkpoint-steps", 10)
+
+
+@pytest.fixture(scope="module")
+def whole(capture, environment, tmp_path_factory):
+    """The bytes of a scene that was trained without a stop."""
+    out = tmp_path_factory.mktemp("whole")
+    Process(environment, "train", capture, "--out", out, *LONG).succeed()
+    return (out / "scene.ply").read_bytes()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="needs signals of POSIX")
+def test_killed_at_twenty_random_instants(capture, environment, whole, tmp_path):
+    moments, ends = random.Random(0), 0
+    run, started = tmp_path / "run", False
+    for _ in range(20):
+        arguments = ("--resume", run) if started else (capture, "--out", run, *LONG, "--overwrite")
+        process = Process(environment, "train", *arguments)
+        if process.read_until("step "):
+            time.sleep(moments.uniform(0, 0.3))
+        if process.kill() or (run / "scene.ply").exists():  # too late: the scene is written
+            assert (run / "scene.ply").read_bytes() == whole
+            shutil.rmtree(run)
+            ends += 1
+        started = bool(run.exists() and list((run / "checkpoints").glob("[0-9]*.npz")))
+    if started:
+        Process(environment, "train", "--resume", run).succeed()
+        assert (run / "scene.ply").read_bytes() == whole
+    assert ends < 10  # else it was rarely killed in time
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="needs signals of POSIX")
+def test_killed_while_a_checkpoint_is_written(capture, environment, whole, tmp_path):
+    caught = False
+    for attempt in range(8):
+        run = tmp_path / str(attempt)
+        process = Process(environment, "train", capture, "--out", run, *LONG)
+        deadline = time.monotonic() + 60
+        while not list((run / "checkpoints").glob("[0-9]*.npz")) and time.monotonic() < deadline:
+            time.sleep(0.001)
+        while not list((run / "checkpoints").glob(".*.tmp")) and time.monotonic() < deadline:
+            pass
+        process.kill()
+        if list((run / "checkpoints").glob(".*.tmp")):
+            caught = True
+            break
+    assert caught
+    Process(environment, "train", "--resume", run).succeed()
+    assert (run / "scene.ply").read_bytes() == whole
+    assert not (run / "checkpoints").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="the system does not limit threads so")
+def test_the_number_of_threads_changes_nothing(capture, environment, whole, tmp_path):
+    one = {min(os.sched_getaffinity(0))}
+    Process(environment, "train", capture, "--out", tmp_path, *LONG, cpus=one).succeed()
+    assert (tmp_path / "scene.ply").read_bytes() == whole

@@ -1,0 +1,83 @@
+"""Recipes: values, in proportion to their steps, that train; and the better one is better."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from test_training import capture, run
+
+import splatax as sx
+from scenes import camera_at
+from splatax.demo.capture import write_capture
+from splatax.training.optimizer import LearningRates
+from splatax.training.recipes import RECIPES, rates_for, room_for
+
+
+@pytest.mark.parametrize("name", RECIPES)
+def test_a_recipe_is_a_value(name):
+    assert RECIPES[name](steps=700) == RECIPES[name](steps=700)
+    assert hash(RECIPES[name]()) == hash(RECIPES[name]())
+    assert RECIPES[name](steps=700, max_gaussians=900).density.max_gaussians == 900
+    assert RECIPES[name](steps=700).steps == 700
+
+
+@pytest.mark.parametrize("name", RECIPES)
+@pytest.mark.parametrize("steps", [600, 2000, 30_000])
+def test_density_control_ends_before_training_does(name, steps):
+    density = RECIPES[name](steps=steps).density
+    due = [step for step in range(1, steps + 1) if density.due(step)]
+    assert not due or due[-1] <= 0.85 * steps
+
+
+@pytest.mark.parametrize("steps", [600, 2000, 30_000])
+def test_default_grows_to_its_most_in_the_first_half(steps):
+    density, count = RECIPES["default"](steps=steps, max_gaussians=50_000).density, 3000
+    for step in range(1, steps // 2):
+        if density.due(step):
+            count = density.growth.after(count, step, density.every, density.max_gaussians)
+    assert count == 50_000
+
+
+@pytest.mark.parametrize("name", ["mcmc", "default"])
+def test_training_grows_to_the_most_learns_and_repeats_bit_for_bit(name):
+    recipe = replace(RECIPES[name](steps=240, max_gaussians=200), sh_degree=1)
+    recipe = replace(recipe, density=replace(recipe.density, every=20, start=20))
+    first, second = (run(capture(), recipe) for _ in range(2))
+    gaussians = first[-1][3].gaussians
+    assert len(gaussians) == 200 if name == "default" else 80 < len(gaussians) < 200
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gaussians))
+    losses = [loss for _, loss, _, _ in first]
+    assert np.mean(losses[-20:]) < 0.5 * np.mean(losses[:20])
+    for a, b in zip(jax.tree.leaves(gaussians), jax.tree.leaves(second[-1][3].gaussians), strict=True):
+        assert_array_equal(a, b)
+
+
+def test_rates_are_raised_for_short_runs_and_never_fall_below_the_authors():
+    authors = LearningRates()
+    assert_allclose(rates_for(2000).means, 8 * authors.means)
+    assert_allclose(rates_for(8000).log_scales, 1.5 * authors.log_scales)
+    assert rates_for(10**7) == authors
+    assert rates_for(1) == rates_for(500)
+
+
+def test_room_grows_with_pixels_and_with_the_root_of_the_number_of_photos():
+    def photos(count, size):
+        view = sx.View("a", camera_at(size=size), lambda: None)
+        return sx.Dataset((view,) * count, (), sx.PointCloud(*[np.zeros((0, 3), np.float32)] * 2))
+
+    assert room_for(photos(1, (400, 200))) == 10_000
+    assert_allclose(room_for(photos(9, (400, 200))), 30_000, atol=1)
+    assert room_for(photos(100, (4000, 3000))) == 1_000_000
+
+
+@pytest.mark.slow
+def test_default_beats_classic_at_equal_steps(tmp_path):
+    write_capture(tmp_path)
+    dataset = sx.load_dataset(tmp_path)
+    classic = sx.fit(dataset, RECIPES["classic"](steps=2000))
+    default = sx.fit(dataset, RECIPES["default"](steps=2000, max_gaussians=len(classic)))
+    assert len(default) <= len(classic)
+    scores = [sx.evaluate(gaussians, dataset.test).psnr for gaussians in (default, classic)]
+    assert scores[0] > scores[1] + 0.5

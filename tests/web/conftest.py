@@ -11,7 +11,12 @@ from splatax.web import page
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 # Without a graphics device, Chromium draws in software.
-SOFTWARE = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
+SOFTWARE = (
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+)
 PATIENCE = 60  # seconds
 
 
@@ -47,7 +52,8 @@ class Tab:
         self.requests: list[str] = []
         self.tab.on("pageerror", lambda error: self.errors.append(str(error)))
         self.tab.on(
-            "console", lambda line: self.errors.append(line.text) if line.type in ("error", "warning") else None
+            "console",
+            lambda line: self.errors.append(line.text) if line.type in ("error", "warning") else None,
         )
         self.tab.on("request", lambda request: self.requests.append(request.url))
         self.tab.goto(path.as_uri())

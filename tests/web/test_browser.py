@@ -1,6 +1,7 @@
 """The page in a browser: it draws what splatax draws, and does what it is told."""
 
 import io
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ pytestmark = pytest.mark.slow
 SIZE = (320, 240)
 EYES = ((0.4, -0.6, -4.0), (3.0, -1.0, 1.5), (-2.5, 0.8, 2.5), (-3.5, -0.5, -1.0))
 CAMERAS = {f"photo {i}": camera_at(eye, size=SIZE, focal=280.0) for i, eye in enumerate(EYES)}
-SCENE = random_gaussians(n=4000, scale=(0.002, 0.04), spread=0.7)
+SCENE = random_gaussians(n=4000, scale=(0.001, 0.03), spread=0.7)
 LIKE = 30.0  # dB; SH of another sign, frame or degree, gamma or another low-pass stay below
 
 
@@ -35,7 +36,9 @@ def psnr(a, b) -> float:
     return float(-10 * np.log10(np.mean((a - b) ** 2)))
 
 
-@pytest.mark.parametrize("low_pass", [sx.Dilation(), sx.Antialiasing()], ids=lambda filter: type(filter).__name__)
+@pytest.mark.parametrize(
+    "low_pass", [sx.Dilation(), sx.Antialiasing()], ids=lambda filter: type(filter).__name__
+)
 def test_cameras_see_what_our_renderer_draws(open_page, tmp_path, viewer, low_pass):
     path, gray = tmp_path / "scene.html", (0.2, 0.3, 0.4)
     web.save(path, SCENE, title="scene", cameras=CAMERAS, low_pass=low_pass, background=gray)
@@ -66,7 +69,9 @@ def test_it_opens_without_errors_and_asks_the_network_for_nothing(open_page, pag
 def test_names_are_text_not_markup(open_page, page):
     tab = open_page(page)
     assert tab.tab.title() == tab.tell("document.querySelector('h1').textContent") == "Random & <b>dense</b>"
-    assert tab.tell("[...document.querySelectorAll('#cameras option')].slice(1).map(o => o.label)") == list(CAMERAS)
+    assert tab.tell("[...document.querySelectorAll('#cameras option')].slice(1).map(o => o.label)") == list(
+        CAMERAS
+    )
 
 
 def test_it_begins_at_a_camera_of_the_capture(open_page, page):
@@ -108,7 +113,9 @@ def test_what_is_dragged_follows_the_pointer(open_page, page):
         tab = open_page(page)
         tab.settle()
         tab.tell(f"viewer.setMode('{mode}')")
-        nearer = "viewer.pose.forward.multiplyScalar(viewer.pose.focus / 2).add(viewer.pose.position).toArray()"
+        nearer = (
+            "viewer.pose.forward.multiplyScalar(viewer.pose.focus / 2).add(viewer.pose.position).toArray()"
+        )
         point = tab.tell(nearer)
         tab.tab.mouse.move(300, 240)
         tab.tab.mouse.down()
@@ -202,14 +209,16 @@ def test_help_opens_and_closes_with_the_keyboard(open_page, page):
 def test_all_buttons_are_in_reach_in_windows_of_any_shape(open_page, page, size, phone):
     tab = open_page(page, size, has_touch=phone, is_mobile=phone)
     tab.settle()
-    boxes = [button.bounding_box() for button in tab.tab.locator("nav button:visible, nav select:visible").all()]
+    boxes = [
+        button.bounding_box() for button in tab.tab.locator("nav button:visible, nav select:visible").all()
+    ]
     assert len(boxes) >= 7
     for box in boxes:
         assert box["width"] >= 34
         assert box["height"] >= 34
         assert 0 <= box["x"] <= size[0] - box["width"]
         assert 0 <= box["y"] <= size[1] - box["height"]
-    assert all(a["x"] + a["width"] <= b["x"] + 1 for a, b in zip(boxes, boxes[1:], strict=False))
+    assert all(a["x"] + a["width"] <= b["x"] + 1 for a, b in pairwise(boxes))
     assert np.ptp(picture(tab)) > 0.5
 
 

@@ -41,7 +41,7 @@ class Page:
             raise InputError(f"{self.out}: exists. Choose another name, or replace it: --overwrite.")
         model = read_model(self.model, self.low_pass)
         views = load_scene(self.scene, None, model).views if self.scene else ()
-        background = BACKGROUNDS[self.background or model.options.get("background", "black")].rgb
+        background = BACKGROUNDS[self.background or model.options.get("background") or "black"].rgb
         self.out.parent.mkdir(parents=True, exist_ok=True)
         web.save(
             self.out,

@@ -7,18 +7,25 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import jax
 import jinja2
+import numpy as np
 
 from splatax.camera import Camera
 from splatax.errors import FormatError, InputError
 from splatax.gaussians import Gaussians
 from splatax.io import formats
 from splatax.io.files import write_whole
+from splatax.math import morton
 from splatax.projection import NEAR, Antialiasing, Dilation, LowPass
 from splatax.web.staging import stage
 
 MAX_SH_DEGREE = 3  # that the viewer draws
-LOSES = formats.spz.LOSES  # a page holds the scene as .spz
+LOSES = (
+    "As .spz, with finer SH: positions are rounded to 24 bits, opacities, colours and scales to 8 bits, "
+    "rotations to 10, SH to 6 bits (degree 1) and 5 bits, clipped to -1 to 1."
+)
+SH_BUCKETS = (4, 8)  # half of the usual ones: 4 dB nearer to the scene for a sixth more bytes (fern)
 VIEWER = Path(__file__).parent / "viewer.js"  # built from web/ by `make page`
 CHUNK = 3 << 17  # bytes that come as one: progress is shown after each
 
@@ -99,9 +106,10 @@ def _variances(low_pass: LowPass) -> dict[str, Any]:
 
 
 def _spz(gaussians: Gaussians) -> bytes:
+    nearby = morton.order(np.asarray(gaussians.means))  # together: compresses and draws better
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "scene.spz"
-        formats.save(path, gaussians)
+        formats.save(path, jax.tree.map(lambda leaf: leaf[nearby], gaussians), buckets=SH_BUCKETS)
         return path.read_bytes()
 
 

@@ -47,7 +47,7 @@ def stage(gaussians: Gaussians, cameras: Mapping[str, Camera]) -> Stage:
     means = np.asarray(gaussians.means, np.float64)
     if not cameras:
         middle = np.median(means, axis=0)
-        radius = float(np.quantile(np.linalg.norm(means - middle, axis=1), 0.8)) or 1.0
+        radius = float(np.quantile(np.linalg.norm(means - middle, axis=1), 0.95)) or 1.0
         place = _place(np.eye(3), middle, SIZE / radius)
         return Stage(place, [], pose_of(_outside(), 2.4 * SIZE) | {"camera": -1})
     poses = list(cameras.values())

@@ -15,7 +15,7 @@ LAYERS = (  # lowest first; a package stands for all its modules
     {"projection", "rasterizers", "losses", "metrics", "lpips", "io"},
     {"rendering"},
     {"training", "evaluation", "editing"},
-    {"report", "demo", "bench", "budget", "reconstruction", "inspection"},
+    {"report", "demo", "bench", "budget", "reconstruction", "inspection", "web"},
     {"cli"},
 )
 NEVER = {
@@ -24,7 +24,7 @@ NEVER = {
     ("io", "projection"),
     ("editing", "io"),
 }  # in reach, but not theirs
-OPTIONAL = {"beartype", "pytest", "skimage"}  # not installed with the product
+OPTIONAL = {"beartype", "playwright", "pytest", "skimage"}  # not installed with the product
 
 
 def modules():

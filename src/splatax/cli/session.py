@@ -8,6 +8,7 @@ import splatax as sx
 from splatax.cli.checkpoints import FOLDER, Checkpoints, files
 from splatax.cli.display import Display
 from splatax.cli.interruption import Interruption
+from splatax.cli.view import Audience
 from splatax.errors import InputError
 from splatax.evaluation import picture
 from splatax.io.files import write_whole
@@ -61,6 +62,7 @@ def train(
     checkpoints: Checkpoints,
     history: History,
     start: RunState | None = None,
+    audience: Audience | None = None,
 ) -> sx.Gaussians:
     """Trains with a progress bar, evaluations, pictures of one view and checkpoints.
 
@@ -73,6 +75,7 @@ def train(
         checkpoints: where the run is saved now and then, and when it is interrupted.
         history: of the run until now; it grows.
         start: the run to go on with.
+        audience: who may look on; None for nobody.
     """
     frames = {max(round(recipe.steps * (i / (FRAMES - 1)) ** 2), 1) for i in range(FRAMES)}
     with Display(recipe.steps) as display, Interruption() as interruption:
@@ -86,7 +89,8 @@ def train(
             evaluated = bool(eval_every and dataset.test) and progress.step % eval_every == 0 and not last
             stopped = interruption.requested and not last
             saved = not last and (checkpoints.due(progress.step) or stopped)
-            if evaluated or saved or progress.step in frames:
+            looked = audience is not None and audience.waits
+            if evaluated or saved or looked or progress.step in frames:
                 progress.loss.block_until_ready()
                 history.train_seconds = seconds = watch.seconds()
                 if progress.step in frames:
@@ -96,6 +100,8 @@ def train(
                     display.psnr = history.evaluations[-1].scores.psnr
                 if saved:
                     checkpoints.save(progress.state, history)
+                if audience and looked:
+                    audience.show(progress, history, lambda: interruption.requested)
                 watch.paused += watch.seconds() - seconds
             if stopped:
                 history.interrupted = True

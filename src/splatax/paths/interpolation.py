@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 from jaxtyping import Float
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
@@ -48,7 +49,7 @@ class Key:
 
 
 def interpolate(
-    keys: Sequence[Key], times: Sequence[float], moments: Sequence[float], *, closed: bool = False
+    keys: Sequence[Key], times: npt.ArrayLike, moments: npt.ArrayLike, *, closed: bool = False
 ) -> list[Key]:
     """Where the camera is at each moment. It passes every key with a continuous velocity.
 
@@ -65,7 +66,7 @@ def interpolate(
     count = len(keys)
     chosen = [*range(count), 0] if closed else list(range(count))
     if len(chosen) == 1:
-        return [keys[0]] * len(moments)
+        return [keys[0]] * len(np.asarray(moments))
     at, when = np.asarray(times, np.float64), np.asarray(moments, np.float64)
     rotations = Rotation.concatenate([keys[i].rotation for i in chosen])
     values = np.array([[*keys[i].position, -np.log(np.tan(keys[i].fov / 2))] for i in chosen])

@@ -22,22 +22,26 @@ REACH = 90  # percentile of the cameras' offsets that the spiral goes out to
 def orbit(cameras: Sequence[Camera], frames: int, size: Size, focus: Float[np.ndarray, "3"]) -> list[Camera]:
     """One turn around a point, at the height and distance that the cameras have in the median.
 
-    It starts beside the first camera and looks at the point all the time.
+    It starts beside the first camera that is not nearer than most, and looks at the point all the time.
 
     Args:
         cameras: of the capture, one or more.
         frames: how many.
         size: of the pictures.
         focus: the point; see `focus_of`.
+
+    Raises:
+        InputError: if the cameras are right above the point.
     """
     positions, up = _positions(cameras), up_of(cameras)
     heights = (positions - focus) @ up
     level = positions - focus - heights[:, None] * up
     distances = np.linalg.norm(level, axis=1)
-    sideways = level[np.argmax(distances > 0.1 * np.median(distances))]
-    if not np.linalg.norm(sideways) > 1e-9 * max(np.linalg.norm(positions - focus), 1e-12):
-        sideways = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])  # all above the point
-    sideways = sideways / np.linalg.norm(sideways) * max(np.median(distances), 1e-6)
+    distance = float(np.median(distances))
+    sideways = level[int(np.argmax(distances >= distance))]
+    if distance <= 1e-6 * float(np.linalg.norm(positions - focus, axis=1).max()):
+        raise InputError("--path orbit: the cameras are right above what they look at. Ask for interpolate.")
+    sideways = sideways / np.linalg.norm(sideways) * distance
     fov = _fov(cameras, size)
     path = []
     for angle in np.linspace(0, 2 * np.pi, frames, endpoint=False):
@@ -58,6 +62,9 @@ def spiral(
         frames: how many.
         size: of the pictures.
         points: on surfaces of the scene.
+
+    Raises:
+        InputError: if the cameras look in all directions, or have none of the points before them.
     """
     positions = _positions(cameras)
     forward = np.mean([np.asarray(camera.rotation, np.float64)[2] for camera in cameras], axis=0)

@@ -159,7 +159,9 @@ def test_the_fingerprint_sees_what_changed(dataset):
 
     view, *rest = dataset.train
     assert changes(capture()) == set()
-    assert changes(replace(dataset, train=(replace(view, name="x"), *rest))) == {"names, sizes and masks of photos"}
+    assert changes(replace(dataset, train=(replace(view, name="x"), *rest))) == {
+        "names, sizes and masks of photos"
+    }
     moved = replace(view.camera, fx=view.camera.fx + 1e-4)
     assert changes(replace(dataset, train=(replace(view, camera=moved), *rest))) == {"cameras"}
     points = sx.PointCloud(np.nextafter(dataset.points.positions, np.float32(9)), dataset.points.colors)

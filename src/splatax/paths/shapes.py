@@ -13,7 +13,7 @@ from splatax.paths.interpolation import Key, Size
 
 FOCAL = 0.8  # of the longer side of the image, for a scene without cameras
 VIEW = (0.5, 0.2, 1.0)  # direction in which it is looked at: from above where y points down
-LEVEL_WEIGHT = 0.1  # of "tops point up" against "sides are level"
+LEVEL_WEIGHT = 0.02  # of "tops point up", against "sides are level"
 TURNS = 2  # of the spiral
 REACH = 90  # percentile of the cameras' offsets that the spiral goes out to
 # (both from the authors' code of Mildenhall et al. 2019, Local Light Field Fusion)

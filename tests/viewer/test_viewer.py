@@ -96,6 +96,15 @@ def test_frames_while_moving_are_the_largest_that_keep_to_the_budget():
     assert seconds_for((320, 180)) > 0.05
 
 
+def test_frames_are_not_made_smaller_where_that_saves_little():
+    pacing, now = Pacing(budget=0.05), 0.0
+    for _ in range(20):
+        size = pacing.size((504, 378), 1080, moving=True, now=now)
+        pacing.observe(size, 0.07 + 1e-7 * size[0] * size[1], now)
+        now += 0.1
+    assert size == (512, 378)
+
+
 def test_an_unknown_machine_starts_small_and_a_fast_one_ends_at_full_size():
     pacing = Pacing()
     size = pacing.size((1280, 720), 1080, moving=True, now=0.0)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 HEIGHTS = (90, 128, 180, 256, 360, 512, 720)  # of frames while moving: each size is a compiled program
 WIDTH_STEP = 16  # pixels, so that windows of nearly one shape share programs
 FORGET_SECONDS = 5.0  # after which a size is tried again that was too slow
+WORTHWHILE = 2.0  # a frame may take so many times what the smallest has: much of its cost is not in pixels
 BLEND = 0.5  # of a new measurement
 
 
@@ -32,7 +33,9 @@ class Pacing:
         if not moving:
             return _shaped(window, full)
         sizes = [_shaped(window, height) for height in HEIGHTS if height < full] + [_shaped(window, full)]
-        fluid = [size for size in sizes if self.expected(size, now) <= self.budget]
+        least = self._costs[min(self._costs)][0] if self._costs else 0.0
+        limit = max(self.budget, WORTHWHILE * least)
+        fluid = [size for size in sizes if self.expected(size, now) <= limit]
         return fluid[-1] if fluid else sizes[0]
 
     def observe(self, size: tuple[int, int], seconds: float, now: float) -> None:
@@ -42,8 +45,8 @@ class Pacing:
         self._costs[pixels] = (BLEND * seconds + (1 - BLEND) * earlier, now)
 
     def expected(self, size: tuple[int, int], now: float) -> float:
-        """Seconds for a frame: linear between the sizes that have been measured of late, proportional
-        to pixels outside of them, infinite where there is none."""
+        """Seconds for a frame: linear between the sizes that have been measured of late. Outside of them half
+        is taken to be in pixels. Infinite where there is none."""
         pixels, known = size[0] * size[1], self._fresh(now)
         below = max((other for other in known if other <= pixels), default=None)
         above = min((other for other in known if other >= pixels), default=None)
@@ -52,7 +55,7 @@ class Pacing:
         if below is None or above is None or below == above:
             nearest = above if below is None else below
             assert nearest is not None
-            return known[nearest] * pixels / nearest
+            return known[nearest] * (1 + pixels / nearest) / 2
         share = (pixels - below) / (above - below)
         return known[below] + share * (known[above] - known[below])
 

@@ -37,7 +37,7 @@ class Panels:
         self._frames: list[tuple[float, float]] = []  # when, and seconds
         self._told, self._drawn_curve = 0.0, 0.0
         self._curve: Any = None
-        self._gui.configure_theme(dark_mode=True, show_logo=False)
+        self._gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
         self._status = self._gui.add_markdown("")
         self._training_status = self._gui.add_markdown("", visible=False)
         self._pause = self._gui.add_button("Pause training", visible=False)

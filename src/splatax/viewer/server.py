@@ -160,9 +160,9 @@ class Viewer:
         program = (size, look.mode, look.box is None, len(gaussians))
         if program in seat.drawn:  # the first time is that of compiling
             seat.pacing.observe(size, end - start, end)
+            self.panels.frame(size, end - start)
         seat.drawn.add(program)
         seat.shown = (*shown, size)
-        self.panels.frame(size, end - start)
         return True
 
     def _sit(self, client: Any) -> None:

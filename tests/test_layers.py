@@ -13,9 +13,10 @@ LAYERS = (  # lowest first; a package stands for all its modules
     {"gaussians", "splats", "camera", "dataset", "similarity"},
     {"native"},
     {"projection", "rasterizers", "losses", "metrics", "lpips", "io"},
-    {"rendering"},
+    {"rendering", "paths"},
     {"training", "evaluation", "editing"},
     {"report", "demo", "bench", "budget", "reconstruction", "inspection", "web"},
+    {"viewer"},
     {"cli"},
 )
 NEVER = {

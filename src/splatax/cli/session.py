@@ -10,6 +10,7 @@ from splatax.budget import Changes
 from splatax.cli.checkpoints import FOLDER, Checkpoints, files
 from splatax.cli.display import Display
 from splatax.cli.interruption import Interruption
+from splatax.cli.view import Audience
 from splatax.errors import InputError
 from splatax.evaluation import picture
 from splatax.io.files import write_whole
@@ -64,6 +65,7 @@ def train(
     history: History,
     start: RunState | None = None,
     changes: Changes | None = None,
+    audience: Audience | None = None,
 ) -> sx.Gaussians:
     """Trains with a progress bar, evaluations, pictures of one view and checkpoints.
 
@@ -77,6 +79,7 @@ def train(
         history: of the run until now; it grows.
         start: the run to go on with.
         changes: of the number of steps. Those of the history are made again.
+        audience: who may look on; None for nobody.
     """
     changes = changes or Changes()
     changes.made = history.changes
@@ -94,7 +97,8 @@ def train(
             evaluated = bool(eval_every and dataset.test) and progress.step % eval_every == 0 and not last
             stopped = interruption.requested and not last
             saved = not last and (checkpoints.due(progress.step) or stopped)
-            if evaluated or saved or looked or shown:
+            watched = audience is not None and audience.waits
+            if evaluated or saved or looked or shown or watched:
                 progress.loss.block_until_ready()
                 history.train_seconds = seconds = watch.seconds()
                 if looked:
@@ -106,6 +110,8 @@ def train(
                     display.psnr = history.evaluations[-1].scores.psnr
                 if saved:
                     checkpoints.save(progress.state, history)
+                if audience and watched:
+                    audience.show(progress, history, lambda: interruption.requested)
                 watch.paused += watch.seconds() - seconds
             if stopped:
                 history.interrupted = True

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping, Set
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -23,22 +24,17 @@ from splatax.cli.options import (
 from splatax.cli.results import Run
 from splatax.cli.resume import Earlier, facts, find
 from splatax.cli.session import claim, train
+from splatax.cli.view import audience
 from splatax.errors import InputError
 from splatax.projection import LOW_PASSES
 from splatax.report.history import History
 from splatax.training.backgrounds import BACKGROUNDS
 from splatax.training.initialize import InFrusta
 from splatax.training.recipes import RECIPES, room_for
+from splatax.viewer.server import LOCAL, PORT
 
-FREE = {
-    "scene",
-    "out",
-    "overwrite",
-    "resume",
-    "repeat",
-    "checkpoint_every",
-    "checkpoint_steps",
-}  # options that may change in a run
+WATCHING = {"view", "host", "port"}
+FREE = {"scene", "resume", "repeat", "checkpoint_every", "checkpoint_steps"} | WATCHING  # may change in a run
 
 RecipeName = Literal[*RECIPES]  # type: ignore[valid-type]
 
@@ -89,6 +85,12 @@ class Train:
     it is interrupted."""
     checkpoint_steps: int = 0
     """Steps between checkpoints, besides. 0: by the clock alone."""
+    view: bool = False
+    """Watch in the browser while it trains."""
+    host: str = LOCAL[0]
+    """Who may watch: this machine alone; "0.0.0.0" is all who can reach it."""
+    port: int = PORT
+    """Where to watch; the next free one if it is taken."""
     resume: Path | None = None
     """Go on with a run that was stopped: its folder, or one of its checkpoints. All other options are
     as it was started with."""
@@ -174,8 +176,11 @@ class Train:
         if earlier:
             state = earlier.state(recipe, dataset)
             print(f"going on after step {history.steps:,} of {int(state.train.total):,}")
-        with checkpoints:
-            gaussians = train(dataset, recipe, self.eval_every, checkpoints, history, state, changes)
+        watched = audience(dataset, recipe, self.host, self.port) if self.view else nullcontext()
+        with checkpoints, watched as watchers:
+            gaussians = train(
+                dataset, recipe, self.eval_every, checkpoints, history, state, changes, watchers
+            )
             conclude(Run(scene.resolve().name, dataset, recipe, history, gaussians, options, out))
         if history.interrupted:
             print(f"stopped at step {history.steps:,}. Go on: splatax train --resume {out}")

@@ -8,6 +8,7 @@ import tyro
 
 from splatax.cli.bench import Bench
 from splatax.cli.compare import Compare
+from splatax.cli.create import Create
 from splatax.cli.demo import Demo
 from splatax.cli.doctor import Doctor
 from splatax.cli.evaluate import Evaluate
@@ -22,7 +23,8 @@ from splatax.cli.view import View
 from splatax.errors import InputError
 
 Command = (
-    Annotated[Reconstruct, tyro.conf.subcommand("reconstruct")]
+    Annotated[Create, tyro.conf.subcommand("create")]
+    | Annotated[Reconstruct, tyro.conf.subcommand("reconstruct")]
     | Annotated[Inspect, tyro.conf.subcommand("inspect")]
     | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Evaluate, tyro.conf.subcommand("eval")]

@@ -25,7 +25,7 @@ LOSES = (
     "As .spz, with finer SH: positions are rounded to 24 bits, opacities, colours and scales to 8 bits, "
     "rotations to 10, SH to 6 bits (degree 1) and 5 bits, clipped to -1 to 1."
 )
-SH_BUCKETS = (4, 8)  # half of the usual ones: 4 dB nearer to the scene for a sixth more bytes (fern)
+SH_BUCKETS = (4, 8)  # half of the usual ones: 4 dB nearer to the scene for a fifth more bytes (fern)
 VIEWER = Path(__file__).parent / "viewer.js"  # built from web/ by `make page`
 CHUNK = 3 << 17  # bytes that come as one: progress is shown after each
 
@@ -85,6 +85,15 @@ def save(
         scene=list(_chunks(_spz(staged.place.transform(gaussians)))),
     )
     write_whole(path, html.encode())
+
+
+def require_viewer() -> None:
+    """Makes sure that pages can be written here.
+
+    Raises:
+        InputError: if the viewer is not built; it says how to.
+    """
+    _viewer()
 
 
 def _viewer() -> bytes:

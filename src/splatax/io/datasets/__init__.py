@@ -33,6 +33,13 @@ def load_dataset(path: str | Path, *, downscale: int | None = None) -> Dataset:
     )
 
 
+def is_capture(path: Path) -> bool:
+    """Whether there is a capture, whose cameras are known, or a zip file of which that is hoped."""
+    if path.is_file():
+        return path.suffix.lower() == ".zip"
+    return path.is_dir() and any(loader.recognise(path) for loader in DATASETS)
+
+
 def folder_of(path: Path) -> Path:
     """The folder of a capture that may be in a zip file.
 

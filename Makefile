@@ -10,10 +10,10 @@ demo: $(READY)  ## trains on a small capture that it makes itself, and prints wh
 	$(BIN)/splatax demo --out runs/demo --overwrite
 
 test: $(READY)  ## all tests
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
 quick: $(READY)  ## without the slow ones
-	$(BIN)/python -m pytest -m "not slow"
+	$(BIN)/python -m pytest --numprocesses auto --dist worksteal -m "not slow"
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -37,7 +37,7 @@ def rings(first: Texture, second: Texture, axis: Vector, width: float) -> Textur
     """Smooth bands across an axis."""
 
     def texture(point: Point) -> Point:
-        blend = jnp.clip(0.5 + jnp.sin(point @ jnp.array(axis) * (jnp.pi / width)), 0, 1)
+        blend = jnp.clip(0.5 + jnp.sin(point @ jnp.array(axis, point.dtype) * (jnp.pi / width)), 0, 1)
         return first(point) + (second(point) - first(point)) * blend
 
     return texture

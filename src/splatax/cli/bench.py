@@ -18,7 +18,7 @@ from splatax.bench.operations import Operation, operations
 from splatax.bench.plot import plot
 from splatax.bench.scenes import Scene, framed, procedural
 from splatax.bench.timing import Timing, interleaved
-from splatax.cli.options import BackendName, resolve_backend
+from splatax.cli.options import BackendName, parse_size, resolve_backend
 from splatax.cli.platform import device, peak_memory, versions
 from splatax.cli.results import write_json
 from splatax.errors import InputError
@@ -51,7 +51,7 @@ class Bench:
     def run(self) -> None:
         if self.rounds < 1:
             raise InputError(f"--rounds: at least 1, not {self.rounds}.")
-        sizes = [parse_size(size) for size in self.sizes]
+        sizes = [parse_size("--sizes", size) for size in self.sizes]
         backends = list(dict.fromkeys(resolve_backend(name) for name in self.backends))
         makers = [maker for name in self.scenes if (maker := scene_maker(name))]
         self.out.mkdir(parents=True, exist_ok=True)
@@ -167,15 +167,3 @@ def scene_maker(name: str) -> Callable[[tuple[int, int]], Scene] | None:
             f"--scenes {name}: neither a count such as 50k, nor a splat file, nor {' or '.join(BIKER)}."
         )
     return partial(framed, name, sx.load(path), BIKER.get(name, 1.0))
-
-
-def parse_size(size: str) -> tuple[int, int]:
-    """Width and height from "504x378".
-
-    Raises:
-        InputError: if it is something else.
-    """
-    match = re.fullmatch(r"([1-9]\d*)x([1-9]\d*)", size)
-    if not match:
-        raise InputError(f"--sizes: WIDTHxHEIGHT in pixels such as 504x378, not {size!r}.")
-    return int(match[1]), int(match[2])

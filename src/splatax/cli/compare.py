@@ -14,7 +14,7 @@ from rich.text import Text
 
 import splatax as sx
 from splatax.cli.display import duration
-from splatax.cli.options import BackendName, Model, load_scene, read_model, resolve_backend
+from splatax.cli.options import BackendName, Model, background_of, load_scene, read_model, resolve_backend
 from splatax.cli.runs import FinishedRun, check_comparable, psnr_of, read_runs
 from splatax.cli.session import claim
 from splatax.dataset import mask_of
@@ -22,7 +22,6 @@ from splatax.errors import InputError
 from splatax.evaluation import photo_of, picture
 from splatax.io.files import write_whole
 from splatax.report.side_by_side import Curve, Lineup, Row, side_by_side
-from splatax.training.backgrounds import BACKGROUNDS
 
 UNKNOWN = "-"
 NOT_OF_THE_METHOD = {"scene", "out", "overwrite", "backend", "eval_every"}  # options that change no picture
@@ -106,7 +105,7 @@ def lineup(runs: Sequence[FinishedRun], models: Sequence[Model], view: sx.View, 
     Raises:
         InputError: if the photo is transparent, and the runs saw it over different backgrounds.
     """
-    backgrounds = [BACKGROUNDS[run.options["background"] or "black"].rgb for run in runs]
+    backgrounds = [background_of(run.options) for run in runs]
     photo = photo_of(view, backgrounds[0])
     for run, background in zip(runs, backgrounds, strict=True):
         if background != backgrounds[0] and np.any(photo_of(view, background) != photo):

@@ -16,13 +16,13 @@ from splatax.cli.options import (
     BackgroundName,
     Downscale,
     LowPassName,
+    background_of,
     load_scene,
     read_model,
     resolve_backend,
 )
 from splatax.cli.results import measures_of, protocol, scores_as_json, write_json
 from splatax.errors import InputError
-from splatax.training.backgrounds import BACKGROUNDS
 
 LABELS = {"psnr": "PSNR, dB", "ssim": "SSIM", "corrected_psnr": "corrected, dB", "lpips": "LPIPS"}
 DECIMALS = {"psnr": 3, "ssim": 4, "corrected_psnr": 3, "lpips": 4}
@@ -61,7 +61,7 @@ class Evaluate:
         perceptual = lpips.read(self.lpips) if self.lpips else None
         model = read_model(self.model, self.low_pass)
         dataset = load_scene(self.scene, self.downscale, model)
-        background = BACKGROUNDS[self.background or model.options.get("background") or "black"].rgb
+        background = background_of(model.options, self.background)
         views = views_of(dataset, self.split, self.scene)
         scores = sx.evaluate(
             model.gaussians,

@@ -14,6 +14,7 @@ from splatax.cli.options import (
     BackendName,
     Downscale,
     Model,
+    background_of,
     load_scene,
     read_model,
     resolve_backend,
@@ -22,7 +23,6 @@ from splatax.errors import InputError
 from splatax.io import formats
 from splatax.projection import Antialiasing
 from splatax.similarity import Similarity
-from splatax.training.backgrounds import BACKGROUNDS
 
 Triple = tuple[float, float, float]
 
@@ -83,10 +83,10 @@ class Export:
             edited = place.transform(edited)
         if len(edited) == 0:
             raise InputError(f"{self.out}: no Gaussians would be left. Crop or clean less.")
-        mode = "mip" if isinstance(model.low_pass, Antialiasing) else "default"
         options = {"version": self.spz_version} if self.spz_version else {}
         self.out.parent.mkdir(parents=True, exist_ok=True)
-        sx.save(self.out, edited, comments=(f"SplatRenderMode: {mode}",), **options)
+        mark = formats.mark(isinstance(model.low_pass, Antialiasing))
+        sx.save(self.out, edited, comments=(mark,), **options)
 
         before, after = model.path.stat().st_size, self.out.stat().st_size
         print(f"{self.out}: {len(edited):,} Gaussians, {after / 1e6:.2f} MB ({before / after:.1f} x smaller)")
@@ -146,7 +146,7 @@ class Export:
         moved = views
         if place is not None:
             moved = tuple(replace(view, camera=place.transform_camera(view.camera)) for view in views)
-        background = BACKGROUNDS[model.options.get("background") or "black"].rgb
+        background = background_of(model.options)
         backend = resolve_backend(self.backend)
         before, after = (
             sx.evaluate(g, v, background=background, low_pass=model.low_pass, backend=backend)

@@ -1,6 +1,5 @@
 """Films of a scene: the camera paths and the frames of `splatax render --path`."""
 
-import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -107,17 +106,3 @@ def default_size(dataset: sx.Dataset | None) -> tuple[int, int]:
         return DEFAULT_SIZE
     camera = dataset.views[0].camera
     return max(camera.width // 2 * 2, 2), max(camera.height // 2 * 2, 2)
-
-
-def parse_size(size: str | None) -> tuple[int, int] | None:
-    """Width and height from "960x540".
-
-    Raises:
-        InputError: if it is something else.
-    """
-    if size is None:
-        return None
-    match = re.fullmatch(r"([1-9]\d*)x([1-9]\d*)", size)
-    if not match:
-        raise InputError(f"--size: WIDTHxHEIGHT in pixels such as 960x540, not {size!r}.")
-    return int(match[1]), int(match[2])

@@ -1,6 +1,8 @@
 """Options that several commands share, and a model as they are given one: a file, or a run."""
 
 import json
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -54,6 +56,27 @@ def read_model(path: Path, low_pass: str | None) -> Model:
     except (OSError, ValueError, KeyError):
         options = {}
     return Model(path, gaussians, options, LOW_PASSES[name])
+
+
+def background_of(options: Mapping[str, Any], asked: str | None = None) -> tuple[float, float, float]:
+    """RGB behind a scene: as asked for, else as a run with these options was trained, else black."""
+    return BACKGROUNDS[asked or options.get("background") or "black"].rgb
+
+
+def parse_size(option: str, text: str) -> tuple[int, int]:
+    """Width and height from "960x540".
+
+    Args:
+        option: that it was given with, for the message.
+        text: of the user.
+
+    Raises:
+        InputError: if it is something else.
+    """
+    match = re.fullmatch(r"([1-9]\d*)x([1-9]\d*)", text)
+    if not match:
+        raise InputError(f"{option}: WIDTHxHEIGHT in pixels such as 960x540, not {text!r}.")
+    return int(match[1]), int(match[2])
 
 
 def scene_of(model: Model) -> Path | None:

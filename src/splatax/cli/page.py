@@ -6,9 +6,8 @@ from pathlib import Path
 import tyro
 
 from splatax import web
-from splatax.cli.options import BackgroundName, LowPassName, load_scene, read_model
+from splatax.cli.options import BackgroundName, LowPassName, background_of, load_scene, read_model
 from splatax.errors import InputError
-from splatax.training.backgrounds import BACKGROUNDS
 
 
 @dataclass(frozen=True)
@@ -41,7 +40,7 @@ class Page:
             raise InputError(f"{self.out}: exists. Choose another name, or replace it: --overwrite.")
         model = read_model(self.model, self.low_pass)
         views = load_scene(self.scene, None, model).views if self.scene else ()
-        background = BACKGROUNDS[self.background or model.options.get("background") or "black"].rgb
+        background = background_of(model.options, self.background)
         self.out.parent.mkdir(parents=True, exist_ok=True)
         web.save(
             self.out,

@@ -10,13 +10,15 @@ from rich.progress import track
 
 import splatax as sx
 from splatax.cli.evaluate import views_of
-from splatax.cli.film import SHAPES, Film, parse_size
+from splatax.cli.film import SHAPES, Film
 from splatax.cli.options import (
     BackendName,
     BackgroundName,
     Downscale,
     LowPassName,
+    background_of,
     load_scene,
+    parse_size,
     read_model,
     resolve_backend,
     scene_of,
@@ -26,7 +28,6 @@ from splatax.io import video
 from splatax.io.images import write
 from splatax.metrics import to_8bit
 from splatax.report.pictures import depth_map
-from splatax.training.backgrounds import BACKGROUNDS
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,7 @@ class Render:
         model = read_model(self.model, self.low_pass)
         scene = self.scene or scene_of(model)
         dataset = load_scene(scene, self.downscale, model) if scene else None
-        background = BACKGROUNDS[self.background or model.options.get("background") or "black"].rgb
+        background = background_of(model.options, self.background)
         if film:
             self._refuse_to_replace(film=True)
             film = replace(film, background=background, backend=resolve_backend(self.backend))
@@ -107,7 +108,7 @@ class Render:
             value = getattr(self, name)
             if value is not None and not value > 0:
                 raise InputError(f"--{name}: more than 0, not {value}.")
-        size = parse_size(self.size)
+        size = parse_size("--size", self.size) if self.size else None
         if self.path is None:
             given = [name for name in ("size", "fps", "seconds", "depth") if getattr(self, name)]
             if given or self.out.suffix.lower() in video.SUFFIXES:

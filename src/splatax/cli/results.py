@@ -14,6 +14,7 @@ from splatax.cli.display import duration
 from splatax.cli.platform import device, peak_memory, versions
 from splatax.dataset import mask_of
 from splatax.evaluation import PROTOCOL, Scores, ViewScore, photo_of, picture, score
+from splatax.io import formats
 from splatax.io.files import write_whole
 from splatax.projection import Antialiasing
 from splatax.report.history import Evaluation, History
@@ -35,8 +36,8 @@ class Run:
 
     def write(self) -> Scores | None:
         """Writes all files, the scene first. Returns the scores of the test views, if there are any."""
-        mode = "mip" if isinstance(self.recipe.low_pass, Antialiasing) else "default"
-        sx.save(self.out / "scene.ply", self.gaussians, comments=(f"SplatRenderMode: {mode}",))
+        mark = formats.mark(isinstance(self.recipe.low_pass, Antialiasing))
+        sx.save(self.out / "scene.ply", self.gaussians, comments=(mark,))
         comparisons = [self.compare(view) for view in self.dataset.test or self.dataset.train]
         scores = Scores(tuple(comparison.score for comparison in comparisons))
         test = scores if self.dataset.test else None

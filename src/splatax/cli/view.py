@@ -16,13 +16,13 @@ from splatax.cli.options import (
     BackendName,
     BackgroundName,
     LowPassName,
+    background_of,
     load_scene,
     read_model,
     resolve_backend,
     scene_of,
 )
 from splatax.report.history import History
-from splatax.training.backgrounds import BACKGROUNDS
 from splatax.viewer.pictures import Look
 from splatax.viewer.server import LOCAL, PORT, WINDOW, Viewer
 
@@ -54,7 +54,7 @@ class View:
         model = read_model(self.model, self.low_pass)
         scene = self.scene or scene_of(model)
         views = load_scene(scene, None, model).views if scene else ()
-        background = BACKGROUNDS[self.background or model.options.get("background") or "black"].rgb
+        background = background_of(model.options, self.background)
         look = Look("colour", None, background, model.low_pass, resolve_backend(self.backend))
         means = np.asarray(model.gaussians.means, np.float64)
         start = views[0].camera if views else paths.overview(means, WINDOW)

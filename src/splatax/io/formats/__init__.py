@@ -21,6 +21,8 @@ import numpy as np
 from splatax.errors import FormatError
 from splatax.gaussians import Gaussians
 from splatax.io.formats import compressed_ply, glb, ksplat, ply, sog, sog_folder, splat, spz
+from splatax.io.formats.marks import MIP as MIP
+from splatax.io.formats.marks import mark as mark
 
 FORMATS: dict[str, ModuleType] = {
     ".ply": ply,
@@ -32,7 +34,6 @@ FORMATS: dict[str, ModuleType] = {
     ".glb": glb,
     ".ksplat": ksplat,
 }
-MIP = "SplatRenderMode: mip"  # the comment of scenes that were trained with antialiasing
 
 
 def load(path: str | Path) -> Gaussians:

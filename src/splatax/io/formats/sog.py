@@ -25,6 +25,7 @@ from splatax.errors import FormatError
 from splatax.gaussians import Gaussians
 from splatax.io.files import write_whole
 from splatax.io.formats import packing
+from splatax.io.formats.marks import MIP
 from splatax.io.formats.tolerance import Tolerance
 from splatax.io.formats.untrusted import check_expansion, structured
 from splatax.math import clusters, harmonics, morton
@@ -36,7 +37,6 @@ COLUMNS = 64  # palette entries in a row of its texture
 MAX_PALETTE = 65_536  # entries; labels have 16 bits
 CODES = 256
 LARGEST_ROTATION = 252  # in A of quats: 252 to 255 for w, x, y, z
-MIP = "SplatRenderMode: mip"
 
 MAX_SH_DEGREE = 3
 LOSES = (

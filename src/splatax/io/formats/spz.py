@@ -27,6 +27,7 @@ from splatax.errors import FormatError
 from splatax.gaussians import Gaussians
 from splatax.io.files import write_whole
 from splatax.io.formats import packing
+from splatax.io.formats.marks import MIP
 from splatax.io.formats.tolerance import Tolerance
 from splatax.io.formats.untrusted import Cursor, check_expansion, inflate
 from splatax.math import harmonics
@@ -41,7 +42,6 @@ DEFAULT_FRACTIONAL_BITS = 12
 COLOR_SCALE = 0.15
 XYZW = [1, 2, 3, 0]  # from our order of a quaternion's parts; and [3, 0, 1, 2] back
 BUCKETS = (8, 16)  # levels that one stands for, of SH degree 1 and above: they compress better
-MIP = "SplatRenderMode: mip"
 
 MAX_SH_DEGREE = 4
 LOSES = (

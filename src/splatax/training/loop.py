@@ -11,8 +11,9 @@ from splatax import rasterizers
 from splatax.dataset import Dataset
 from splatax.errors import DatasetError
 from splatax.gaussians import Gaussians
-from splatax.training import optimizer
+from splatax.training import faults, optimizer
 from splatax.training.capacity import bucket_for, pad
+from splatax.training.faults import Faults
 from splatax.training.feed import batches
 from splatax.training.initialize import require_visible
 from splatax.training.recipes import Recipe
@@ -59,6 +60,11 @@ class Progress:
         return jax.tree.map(lambda leaf: jnp.array(leaf[: self.count]), self._state.gaussians)
 
     @property
+    def faults(self) -> Faults:
+        """What was not finite until now; reading it waits for the step to end."""
+        return self._state.faults
+
+    @property
     def padded(self) -> Gaussians:
         """The same scene with its empty slots, valid until the next step. To look at a scene that
         grows, render this: its shape, and with it the compiled program, changes rarely."""
@@ -93,18 +99,21 @@ def optimize(dataset: Dataset, recipe: Recipe, start: RunState | None = None) ->
         gaussians = recipe.initialization(dataset, recipe.sh_degree, recipe.seed)
         require_visible(gaussians, dataset)
         padded = pad(gaussians, bucket_for(len(gaussians)))
-        start = RunState(first_state(padded, recipe, dataset.extent), len(gaussians))
+        start = RunState(first_state(padded, recipe, dataset.extent, len(dataset.train)), len(gaussians))
     yield from _steps(dataset, recipe, start)
 
 
-def first_state(gaussians: Gaussians, recipe: Recipe, extent: float) -> TrainState:
-    """Before any step, from a padded scene."""
+def first_state(gaussians: Gaussians, recipe: Recipe, extent: float, photos: int) -> TrainState:
+    """Before any step, from a padded scene and so many photos."""
     key, _ = _keys(recipe)
     return TrainState(
         step=jnp.int32(0),
         gaussians=gaussians,
         opt_state=optimizer.ADAM.init(gaussians),
         density_state=recipe.density.init(len(gaussians)),
+        appearance=recipe.appearance.init(photos),
+        cameras=recipe.refinement.init(photos),
+        faults=faults.none(),
         key=key,
         extent=jnp.float32(extent),
     )

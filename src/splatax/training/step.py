@@ -8,13 +8,14 @@ import jax
 import jax.numpy as jnp
 import optax
 from jax import lax
-from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt8
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt8
 
 from splatax import rasterizers
 from splatax.gaussians import Gaussians
 from splatax.projection import project
 from splatax.rendering import over
-from splatax.training import optimizer
+from splatax.training import faults, optimizer
+from splatax.training.faults import Faults
 from splatax.training.feed import Batch
 from splatax.training.recipes import Recipe
 
@@ -29,6 +30,9 @@ class TrainState:
         gaussians: the scene, the living first, then empty slots.
         opt_state: Adam's.
         density_state: of the density strategy.
+        appearance: what is learned of the photos' colours.
+        cameras: what is learned of the photos' cameras.
+        faults: numbers that were not finite, until now.
         key: what all randomness of the run comes from.
         extent: of the scene, world units.
     """
@@ -37,6 +41,9 @@ class TrainState:
     gaussians: Gaussians
     opt_state: optax.OptState
     density_state: Any
+    appearance: Any
+    cameras: Any
+    faults: Faults
     key: PRNGKeyArray
     extent: Float[Array, ""]
 
@@ -51,17 +58,21 @@ def train_step(state: TrainState, batch: Batch, recipe: Recipe) -> tuple[TrainSt
     background = recipe.background.sample(background_key)
     photo = photo_over(batch.photo, background)
 
-    def image_loss(splats):
+    def image_loss(splats, look):
         sums, alpha = rasterizers.composite(splats, splats.colors, backend=recipe.backend)
-        return recipe.loss(over(sums, alpha, background), photo, batch.mask, backend=recipe.backend)
+        image = over(recipe.appearance(look, sums, alpha), alpha, background)
+        return recipe.loss(image, photo, batch.mask, backend=recipe.backend)
 
-    def project_view(gaussians):
-        splats = project(gaussians, batch.camera, low_pass=recipe.low_pass, backend=recipe.backend)
+    def project_view(gaussians, pose):
+        camera = recipe.refinement(pose, batch.camera, state.extent)
+        splats = project(gaussians, camera, low_pass=recipe.low_pass, backend=recipe.backend)
         return splats, recipe.prior(gaussians, state.extent)
 
-    (splats, prior), pull_back = jax.vjp(project_view, state.gaussians)
-    loss, d_splats = jax.value_and_grad(image_loss)(splats)
-    (gradients,) = pull_back((d_splats, jnp.ones_like(prior)))
+    look = recipe.appearance.of(state.appearance, batch.source)
+    pose = recipe.refinement.of(state.cameras, batch.source)
+    (splats, prior), pull_back = jax.vjp(project_view, state.gaussians, pose)
+    loss, (d_splats, d_look) = jax.value_and_grad(image_loss, argnums=(0, 1))(splats, look)
+    gradients, d_pose = pull_back((d_splats, jnp.ones_like(prior)))
 
     gradients = optimizer.without_locked_bands(gradients, state.step, recipe.sh_every)
     progress = state.step.astype(jnp.float32) / recipe.steps
@@ -69,13 +80,30 @@ def train_step(state: TrainState, batch: Batch, recipe: Recipe) -> tuple[TrainSt
     gaussians, opt_state = optimizer.update(state.gaussians, gradients, state.opt_state, rates)
     gaussians = lax.optimization_barrier(gaussians)
     gaussians = recipe.noise(gaussians, rates.means[0, 0], state.extent, noise_key)
-    return replace(
+    after = replace(
         state,
         step=state.step + 1,
         gaussians=gaussians,
         opt_state=opt_state,
         density_state=recipe.density.observe(state.density_state, splats, d_splats),
-    ), loss
+        appearance=recipe.appearance.update(state.appearance, batch.source, d_look, progress),
+        cameras=recipe.refinement.update(state.cameras, batch.source, d_pose, progress, recipe.steps),
+    )
+    return sound(after, state, *faults.find(state.gaussians, gradients, (d_look, d_pose), loss)), loss
+
+
+def sound(
+    after: TrainState, before: TrainState, fine: Bool[Array, ""], at_fault: Bool[Array, " n"]
+) -> TrainState:
+    """The state after a step in which all was finite. If not, the one before it, but one step on and
+    without the Gaussians at fault."""
+    kept = replace(
+        faults.chosen(fine, after, before),
+        step=after.step,
+        faults=faults.counted(before.faults, fine, at_fault),
+    )
+    gaussians, opt_state = faults.emptied(kept.gaussians, kept.opt_state, at_fault)
+    return replace(kept, gaussians=gaussians, opt_state=opt_state)
 
 
 def photo_over(photo: UInt8[Array, "h w c"], background: Float[Array, "3"]) -> Float[Array, "h w 3"]:

@@ -61,8 +61,8 @@ def train(
     checkpoints: Checkpoints,
     history: History,
     start: RunState | None = None,
-) -> sx.Gaussians:
-    """Trains with a progress bar, evaluations, pictures of one view and checkpoints.
+) -> sx.Progress:
+    """Trains with a progress bar, evaluations, pictures of one view and checkpoints; returns the end.
 
     Ctrl-C ends training after the step at hand, with what has been reached until then.
 
@@ -89,6 +89,7 @@ def train(
             if evaluated or saved or progress.step in frames:
                 progress.loss.block_until_ready()
                 history.train_seconds = seconds = watch.seconds()
+                display.warn(progress.faults)
                 if progress.step in frames:
                     history.frames.append(frame(progress, dataset, recipe))
                 if evaluated:
@@ -102,7 +103,7 @@ def train(
                 break
         progress.loss.block_until_ready()
         history.train_seconds = watch.seconds()
-    return progress.gaussians
+    return progress
 
 
 def evaluate(progress: sx.Progress, dataset: sx.Dataset, recipe: sx.Recipe, seconds: float) -> Evaluation:

@@ -8,11 +8,14 @@ import tyro
 
 import splatax as sx
 from splatax.cli.checkpoints import Checkpoints, unpacked
+from splatax.cli.display import describe
 from splatax.cli.options import (
+    AppearanceName,
     BackendName,
     BackgroundName,
     Downscale,
     LowPassName,
+    RefinementName,
     load_scene,
     resolve_backend,
 )
@@ -20,11 +23,14 @@ from splatax.cli.results import Run
 from splatax.cli.resume import Earlier, facts, find
 from splatax.cli.session import claim, train
 from splatax.errors import InputError
+from splatax.io.datasets import colmap_writing
 from splatax.projection import LOW_PASSES
 from splatax.report.history import History
+from splatax.training.appearance import APPEARANCES
 from splatax.training.backgrounds import BACKGROUNDS
 from splatax.training.initialize import InFrusta
 from splatax.training.recipes import RECIPES, room_for
+from splatax.training.refinement import REFINEMENTS, Given, refined
 
 FREE = {"scene", "resume", "checkpoint_every", "checkpoint_steps"}  # options that may change in a run
 
@@ -61,6 +67,13 @@ class Train:
     black in evaluations. Without it: the recipe's, random for "default", else black."""
     low_pass: LowPassName = "dilation"
     """What keeps thin Gaussians visible. "antialiasing" also keeps their brightness from afar."""
+    appearance: AppearanceName = "none"
+    """What may differ between photos. "exposure": exposure and white balance, an affine map of colours for
+    each. The scene has the colours of their mean; held-out photos are compared as they are, and once more
+    after a correction of colour."""
+    refine: RefinementName = "none"
+    """What to improve of the training cameras: "poses", or "poses+focal". Then writes them to
+    refined/sparse/0. Held-out photos keep the cameras they were given."""
     backend: BackendName = "auto"
     """Rasterizer. One asked for by name is never replaced by another."""
     seed: int = 0
@@ -135,8 +148,11 @@ class Train:
             history, state = unpacked(earlier.checkpoint), earlier.state(recipe, dataset)
             print(f"going on after step {history.steps:,} of {self.steps:,}")
         with checkpoints:
-            gaussians = train(dataset, recipe, self.eval_every, checkpoints, history, state)
-            conclude(Run(scene.resolve().name, dataset, recipe, history, gaussians, options, out))
+            last = train(dataset, recipe, self.eval_every, checkpoints, history, state)
+            conclude(Run(scene.resolve().name, dataset, recipe, history, last.gaussians, options, out))
+            keep_cameras(out, dataset, recipe, last)
+            if int(last.faults.steps):
+                print(describe(last.faults))
         if history.interrupted:
             print(f"stopped at step {history.steps:,}. Go on: splatax train --resume {out}")
         else:
@@ -167,10 +183,22 @@ class Train:
             recipe,
             initialization=start,
             background=BACKGROUNDS[self.background] if self.background else recipe.background,
+            appearance=APPEARANCES[self.appearance],
+            refinement=REFINEMENTS[self.refine],
             low_pass=LOW_PASSES[self.low_pass],
             backend=resolve_backend(self.backend),
             seed=self.seed,
         )
+
+
+def keep_cameras(out: Path, dataset: sx.Dataset, recipe: sx.Recipe, last: sx.Progress) -> None:
+    """Writes the cameras as a COLMAP model if they were refined, those of held-out photos as given."""
+    if isinstance(recipe.refinement, Given):
+        return
+    state = last.state.train
+    found = refined(recipe.refinement, state.cameras, dataset.train, state.extent)
+    colmap_writing.save(out / "refined", (*found, *dataset.test), dataset.points)
+    print(f"cameras {out / 'refined' / colmap_writing.PLACE}")
 
 
 def conclude(run: Run) -> None:

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import optax
+from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from splatax.gaussians import Gaussians
@@ -42,9 +43,14 @@ def find(
         loss: of the step.
     """
     told = jnp.isfinite(loss)
-    at_fault = ~jnp.isfinite(_energy(gaussians) + jnp.where(told, _energy(gradients), 0))
     total = sum(jnp.sum(leaf * leaf) for leaf in jax.tree.leaves(others))
-    return told & jnp.isfinite(total) & ~jnp.any(at_fault), at_fault
+    total = total + _total(gaussians) + _total(gradients)
+    fine = told & jnp.isfinite(total)
+
+    def search():
+        return ~jnp.isfinite(_energy(gaussians) + jnp.where(told, _energy(gradients), 0))
+
+    return fine, lax.cond(fine, lambda: jnp.zeros(len(gaussians), bool), search)
 
 
 def counted(earlier: Faults, fine: Bool[Array, ""], at_fault: Bool[Array, " n"]) -> Faults:
@@ -75,16 +81,23 @@ def emptied(
     return gaussians, opt_state._replace(mu=zeroed(opt_state.mu), nu=zeroed(opt_state.nu))
 
 
+def _total(gaussians: Gaussians) -> Float[Array, ""]:
+    """The sum of squares of all numbers. A dot product, because that is what all devices are fast at."""
+    flat = [leaf.ravel() for leaf in jax.tree.leaves(_countable(gaussians))]
+    return sum((jnp.dot(leaf, leaf) for leaf in flat), jnp.zeros(()))
+
+
 def _energy(gaussians: Gaussians) -> Float[Array, " n"]:
-    """Of each row: the sum of squares of all its numbers. Logarithms of zero count for nothing."""
-    finite = replace(
-        gaussians,
-        opacity_logits=_without_zeros(gaussians.opacity_logits),
-        log_scales=_without_zeros(gaussians.log_scales),
-    )
-    rows = [leaf.reshape(len(gaussians), -1) for leaf in jax.tree.leaves(finite)]
+    """The sum of squares of all numbers of each row."""
+    rows = [leaf.reshape(len(gaussians), -1) for leaf in jax.tree.leaves(_countable(gaussians))]
     return sum((jnp.sum(row * row, axis=1) for row in rows), jnp.zeros(len(gaussians)))
 
 
-def _without_zeros(logarithms: Float[Array, "..."]) -> Float[Array, "..."]:
-    return jnp.where(logarithms == -jnp.inf, 0, logarithms)
+def _countable(gaussians: Gaussians) -> Gaussians:
+    """With zeros for logarithms of zero, which are meant: of empty slots and of flat Gaussians."""
+    logits, scales = gaussians.opacity_logits, gaussians.log_scales
+    return replace(
+        gaussians,
+        opacity_logits=jnp.where(logits == -jnp.inf, 0, logits),
+        log_scales=jnp.where(scales == -jnp.inf, 0, scales),
+    )

@@ -14,7 +14,7 @@ from splatax.training.feed import Source
 from splatax.training.loop import optimize
 from training.test_training import RECIPE, capture
 
-GAINS = (0.7, 0.85, 1.0, 1.15, 1.3)  # of the five training photos; their mean is 1
+GAINS = (1.15, 0.7, 1.3, 0.85, 1.0)  # of the five training photos, unlike those of neighbours; mean 1
 
 
 def exposed(dataset):
@@ -37,10 +37,11 @@ def test_exposure_is_learned_and_the_scene_keeps_neutral_colours():
     plain, learned = run(dataset, Neutral()), run(dataset, Exposure(rate=0.02, rate_final=0.002))
     values = learned.state.train.appearance.values
     assert_allclose(jnp.mean(values, axis=0), 0, atol=1e-6)
-    gains = 1 + np.asarray(values).reshape(5, 3, 4)[:, [0, 1, 2], [0, 1, 2]].mean(axis=1)
-    assert np.all(np.diff(gains) > 0)
+    grey = np.asarray(values).reshape(5, 3, 4) @ np.array([0.5, 0.5, 0.5, 1.0])
+    gains = 1 + grey.mean(axis=1) / 0.5
+    assert np.corrcoef(gains, GAINS)[0, 1] > 0.9
     scores = [sx.evaluate(progress.gaussians, dataset.test).psnr for progress in (plain, learned)]
-    assert scores[1] > scores[0] + 0.5
+    assert scores[1] > scores[0] + 0.5, (gains, scores)
 
 
 def test_a_map_changes_the_scene_and_leaves_the_background():

@@ -4,16 +4,16 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test quick lint sanitize bench clean
+.PHONY: demo test quick lint sanitize bench page clean
 
 demo: $(READY)  ## trains on a small capture that it makes itself, and prints where the report is
 	$(BIN)/splatax demo --out runs/demo --overwrite
 
 test: $(READY)  ## all tests
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
 quick: $(READY)  ## without the slow ones
-	$(BIN)/python -m pytest -m "not slow"
+	$(BIN)/python -m pytest --numprocesses auto --dist worksteal -m "not slow"
 
 lint: $(READY)
 	$(BIN)/ruff check .
@@ -31,8 +31,15 @@ sanitize: $(READY)  ## runs the tests of the native library under the address an
 bench: $(READY)  ## times the renderer and writes runs/bench
 	$(BIN)/splatax bench --out runs/bench
 
+VIEWER := src/splatax/web/viewer.js
+page: $(VIEWER)  ## builds the viewer of `splatax page` (needs Node.js)
+
+$(VIEWER): web/package-lock.json web/build.mjs $(wildcard web/src/*.js)
+	npm --prefix web ci --no-audit --no-fund
+	npm --prefix web run build
+
 clean:
-	rm -rf $(VENV) build dist
+	rm -rf $(VENV) build dist web/node_modules $(VIEWER)
 
 $(READY): pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "splatax needs Python 3.11 or newer; try make PYTHON=python3.12 ...")'

@@ -98,12 +98,13 @@ struct PixelCentres {
 
 // What a splat does to a block of pixels; forward and backward must agree to the bit.
 struct Blend {
+  Lanes t, s;                       // along the axes of its square root
   Lanes raw, alpha, weight, after;  // opacity G; clamped, garbage where not drawn; T alpha; T behind it
   Mask drawn, alive;                // where it is drawn; where later splats may be
 
   SPLATAX_INLINE Blend(const Chunk& chunk, int i, Lanes x, Lanes y, Lanes transmittance, Mask alive_before) {
     const Lanes dx = x - all(chunk.x[i]), dy = y - all(chunk.y[i]);
-    const Lanes t = multiply_add(all(chunk.u[i]), dx, all(chunk.v[i]) * dy), s = all(chunk.w[i]) * dy;
+    t = multiply_add(all(chunk.u[i]), dx, all(chunk.v[i]) * dy), s = all(chunk.w[i]) * dy;
     const Lanes exponent = multiply_subtract_from(s, s, multiply_subtract_from(t, t, all(chunk.level[i])));
     const Mask seen = (all(LOG2_MIN_ALPHA) <= exponent) & alive_before;
     raw = exp2(exponent);

@@ -97,7 +97,8 @@ ffi::Error forward(ffi::ThreadPool threads, Floats means2d, Floats sqrt_conics, 
 ffi::Error backward(ffi::ThreadPool threads, Floats means2d, Floats sqrt_conics, Floats depths,
                     Floats extents, Floats opacities, Floats channels, Floats sums, Floats alpha,
                     Ticket ticket, Floats d_sums, Floats d_alpha, Result d_means2d, Result d_sqrt_conics,
-                    Result d_opacities, Result d_channels, int64_t thread_limit, int64_t max_pairs) {
+                    Result d_opacities, Result d_channels, Result d_pull, int64_t thread_limit,
+                    int64_t max_pairs) {
   Workers workers(threads, thread_limit);
   const auto size = alpha.dimensions();
   const Input input =
@@ -110,7 +111,7 @@ ffi::Error backward(ffi::ThreadPool threads, Floats means2d, Floats sqrt_conics,
   rasterize_gradient(
       input, {sums.typed_data(), alpha.typed_data(), d_sums.typed_data(), d_alpha.typed_data()},
       {d_means2d->typed_data(), d_sqrt_conics->typed_data(), d_opacities->typed_data(),
-       d_channels->typed_data()},
+       d_channels->typed_data(), d_pull->element_count() ? d_pull->typed_data() : nullptr},
       workers, *scratch, binned, max_pairs);
   pool.give_back(std::move(scratch));
   return ffi::Error::Success();
@@ -236,10 +237,11 @@ XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_rasterize, forward,
                               with_rasterizer_settings(results<2>(arrays<6>(call())).Ret<Ticket>())
                                   .Attr<int64_t>("gradient_follows"));
 
-// (the same six, sums, alpha, ticket, d_sums, d_alpha) -> (d_means2d, d_sqrt_conics, d_opacities, d_channels)
+// (the same six, sums, alpha, ticket, d_sums, d_alpha)
+// -> (d_means2d, d_sqrt_conics, d_opacities, d_channels, d_pull [n 2], or [0 2] where it is not wanted)
 XLA_FFI_DEFINE_HANDLER_SYMBOL(
     splatax_rasterize_gradient, backward,
-    with_rasterizer_settings(results<4>(arrays<2>(arrays<8>(call()).Arg<Ticket>()))));
+    with_rasterizer_settings(results<5>(arrays<2>(arrays<8>(call()).Arg<Ticket>()))));
 
 // (means [n 3], quats [n 4], log_scales [n 3], opacity_logits [n], sh [n k 3], camera as CameraField)
 // -> the six fields of Splats

@@ -15,8 +15,9 @@ namespace {
 //   dL/dv = -sum g t dy = -(u gxy + v gyy)        dL/dy = sum g (t v + s w) = v (u gx + v gy) + w^2 gy
 //   dL/dw = -sum g s dy = -w gyy                  dL/do = sum g / o
 //
-// where the moments gx ... are about the splat's mean.
-void add_moments(const Input& input, int row, const float moments[MOMENTS], const Gradients& gradients) {
+// where the moments gx ... are about the splat's mean. With `pull`, each pixel's share of dL/dx and
+// dL/dy has counted by its absolute value too, from (u, v, w) sqrt(log2(e) / 2): see `Splat`.
+void add_moments(const Input& input, int row, const float moments[SHARES], const Gradients& gradients) {
   const float* root = input.sqrt_conics + 3 * static_cast<size_t>(row);
   const float u = root[0], v = root[1], w = root[2];
   const float gx = moments[1], gy = moments[2], gxx = moments[3], gxy = moments[4], gyy = moments[5];
@@ -29,6 +30,9 @@ void add_moments(const Input& input, int row, const float moments[MOMENTS], cons
   d_root[1] -= u * gxy + v * gyy;
   d_root[2] -= w * gyy;
   gradients.opacities[row] += moments[0] / input.opacities[row];
+  if (!gradients.pull) return;
+  float* pull = gradients.pull + 2 * static_cast<size_t>(row);
+  for (int k = 0; k < 2; ++k) pull[k] += moments[PULL + k] / (ROOT_HALF_LOG2_E * ROOT_HALF_LOG2_E);
 }
 
 // Adds the shares of a round's pairs to the gradients, pair after pair: the order, and so the
@@ -51,9 +55,9 @@ void gather(const Input& input, const Binning& binning, const Round& round, cons
 }
 
 // The state of a tile before its first splat.
-template <int C>
+template <int C, bool PULLED>
 void start(const Input& input, const Cotangents& cotangents, int first, int size, int left, int top,
-           TileGradient<C>& state) {
+           TileGradient<C, PULLED>& state) {
   std::memset(static_cast<void*>(&state), 0, sizeof state);
   for (auto& block : state.transmittance) std::fill(block, block + LANES, -1.0f);
   each_pixel(input, left, top, [&](int b, int lane, size_t pixel) {
@@ -71,12 +75,12 @@ void start(const Input& input, const Cotangents& cotangents, int first, int size
 }
 
 // Adds the gradients that come from channels [first, first + size).
-template <int C>
+template <int C, bool PULLED>
 void add_group(const Input& input, const Cotangents& cotangents, const Gradients& gradients, int first,
                int size, Workers& workers, Scratch& scratch) {
   Binning& binning = scratch.binning;
   binning.load_channels(input, first, size, workers);
-  TileStates<TileGradient<C>> states(binning, scratch);
+  TileStates<TileGradient<C, PULLED>> states(binning, scratch);
   for (size_t number = 0; number < binning.rounds.size(); ++number) {
     const Round round = binning.rounds[number];
     binning.list(static_cast<int>(number), workers);
@@ -89,7 +93,7 @@ void add_group(const Input& input, const Cotangents& cotangents, const Gradients
       const int left = binning.left(tile), top = binning.top(tile), begin = binning.starts[tile];
       const Pair* list = binning.pairs.get() + begin;
       const int count = binning.starts[tile + 1] - begin;
-      TileGradient<C> local, &state = states.of(tile, local);
+      TileGradient<C, PULLED> local, &state = states.of(tile, local);
       if (round.begin == 0) start(input, cotangents, first, size, left, top, state);
       state.accumulate(binning.splats.get(), list, count, left, top, shares, flags);
     });
@@ -107,10 +111,13 @@ void rasterize_gradient(const Input& input, const Cotangents& cotangents, const 
     };
     clear(gradients.means2d, 2), clear(gradients.sqrt_conics, 3), clear(gradients.opacities, 1);
     clear(gradients.channels, input.channel_count);
+    if (gradients.pull) clear(gradients.pull, 2);
   });
   if (!binned) scratch.binning.collect(input, workers, max_pairs);
   each_group(input.channel_count, [&](int first, int size) {
-    const auto add = size == 3 ? add_group<3> : add_group<GROUP>;
+    const auto plain = size == 3 ? add_group<3, false> : add_group<GROUP, false>;
+    const auto pulled = size == 3 ? add_group<3, true> : add_group<GROUP, true>;
+    const auto add = gradients.pull ? pulled : plain;
     add(input, cotangents, gradients, first, size, workers, scratch);
   });
 }

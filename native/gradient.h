@@ -16,8 +16,8 @@
 namespace splatax {
 
 constexpr int MOMENTS = 6;           // g, g x, g y, g x^2, g x y, g y^2, about the tile's centre
-constexpr int SHARES = 12;           // floats for a pair: the moments, and dL/d channels
-static_assert(MOMENTS + GROUP <= SHARES);
+constexpr int PULL = MOMENTS + GROUP;  // where sums of |dL/dx|, |dL/dy| are, if asked for
+constexpr int SHARES = PULL + 2;     // floats for a pair: the moments, dL/d channels, and those
 
 // The shares of a pair: its sums, with the moments moved from the tile's centre to the splat's mean,
 // which is at (-dx, -dy) of it. Number by number, because vectors cannot be read from fresh scalars
@@ -31,7 +31,7 @@ SPLATAX_INLINE void write_shares(const float* sums, float dx, float dy, float* s
   for (int k = MOMENTS; k < SHARES; ++k) shares[k] = sums[k];
 }
 
-template <int C>
+template <int C, bool PULLED>
 struct TileGradient {
   alignas(64) float transmittance[BLOCKS][LANES];  // as in `TileImage`
   alignas(64) float behind[BLOCKS][LANES];         // sum of w_j s_j over splats yet to come
@@ -66,7 +66,8 @@ struct TileGradient {
   uint32_t accumulate_splat(const Chunk& chunk, int i, uint32_t blocks, uint32_t live, float left, float top,
                             float* sums) {
     const PixelCentres centres;
-    Lanes total[MOMENTS + C];
+    constexpr int SUMS = PULLED ? SHARES : MOMENTS + C;
+    Lanes total[SUMS];
     for (Lanes& sum : total) sum = all(0);
     for (; blocks; blocks &= blocks - 1) {
       const int b = __builtin_ctz(blocks);
@@ -93,12 +94,17 @@ struct TileGradient {
       total[3] = multiply_add(gx, x, total[3]);
       total[4] = multiply_add(gx, y, total[4]);
       total[5] = multiply_add(gy, y, total[5]);
+      if (PULLED) {
+        const Lanes across = multiply_add(all(chunk.v[i]), step.t, all(chunk.w[i]) * step.s);
+        total[SUMS - 2] = total[SUMS - 2] + absolute(g * all(chunk.u[i]) * step.t);
+        total[SUMS - 1] = total[SUMS - 1] + absolute(g * across);
+      }
 
       store(transmittance[b], where(step.alive, step.after, all(0) - step.after));
       store(behind[b], still_behind);  // own is zero where it is not drawn
       if (!any(step.alive)) live &= ~(1u << b);
     }
-    add_up<MOMENTS + C>(total, sums);
+    add_up<SUMS>(total, sums);
     return live;
   }
 };

@@ -25,6 +25,7 @@ struct Gradients {
   float* sqrt_conics;
   float* opacities;
   float* channels;
+  float* pull;  // [count 2]: sums over pixels of |dL / d means2d|; null if nobody asks. Up to GROUP channels
 };
 
 // Memory of a call, kept for the next one.

@@ -13,9 +13,10 @@ LAYERS = (  # lowest first; a package stands for all its modules
     {"gaussians", "splats", "camera", "dataset", "similarity"},
     {"native"},
     {"projection", "rasterizers", "losses", "metrics", "lpips", "io"},
-    {"rendering"},
+    {"rendering", "paths"},
     {"training", "evaluation", "editing"},
-    {"report", "demo", "bench"},
+    {"report", "demo", "bench", "budget", "reconstruction", "inspection", "web"},
+    {"viewer"},
     {"cli"},
 )
 NEVER = {
@@ -24,7 +25,7 @@ NEVER = {
     ("io", "projection"),
     ("editing", "io"),
 }  # in reach, but not theirs
-OPTIONAL = {"beartype", "pytest", "skimage"}  # not installed with the product
+OPTIONAL = {"beartype", "playwright", "pytest", "skimage"}  # not installed with the product
 
 
 def modules():

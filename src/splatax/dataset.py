@@ -1,7 +1,9 @@
 """A capture in memory: views with their cameras, and points. Records alone, no reading of files."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
@@ -64,6 +66,23 @@ class PointCloud:
 
 
 @dataclass(frozen=True)
+class Survey:
+    """What a loader saw beside the views, for those who judge a capture. All may be empty.
+
+    Attributes:
+        files: the photo of each view on disk, by the view's name.
+        lenses: the camera of each as it was calibrated, in words.
+        unused: photos that lie with the others but have no pose.
+        errors: distances in pixels of the view between where points were seen and where they project.
+    """
+
+    files: dict[str, Path] = field(default_factory=dict)
+    lenses: dict[str, str] = field(default_factory=dict)
+    unused: tuple[str, ...] = ()
+    errors: dict[str, Float[np.ndarray, " _"]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class Dataset:
     """What a scene is trained on and judged by.
 
@@ -72,12 +91,16 @@ class Dataset:
         test: views held out; may be empty.
         points: from structure from motion; may be empty.
         notes: what the loader found, a line each, for people to read.
+        background: that photos with alpha are to be seen over; None where the capture does not say.
+        survey: what the loader saw beside the views.
     """
 
     train: tuple[View, ...]
     test: tuple[View, ...]
     points: PointCloud
     notes: tuple[str, ...] = ()
+    background: Literal["white"] | None = None
+    survey: Survey = field(default_factory=Survey)
 
     @property
     def views(self) -> tuple[View, ...]:

@@ -33,6 +33,9 @@ class Splats:
         colors: display-referred RGB, at least 0.
         opacities: alpha at the mean, in [0, 1].
         width, height: of the image, pixels (static).
+        pull: None, or zeros, to ask for a gradient that means2d cannot give: the sum over pixels of
+            |dL/dx| and |dL/dy|, how hard pixels pull at the mean, be it in opposite directions. It
+            moves nothing.
     """
 
     means2d: Float[Array, "n 2"]
@@ -43,3 +46,4 @@ class Splats:
     opacities: Float[Array, " n"]
     width: int = field(metadata={"static": True})
     height: int = field(metadata={"static": True})
+    pull: Float[Array, "n 2"] | None = None

@@ -42,12 +42,18 @@ def gradients(scene, channels, cotangents, backend):
         return jnp.sum(image * cotangents[0]) + jnp.sum(alpha * cotangents[1])
 
     of_scene, of_channels = jax.jit(jax.grad(objective, argnums=(0, 1)))(scene, channels)
-    return {
+    found = {
         "means2d": of_scene.means2d,
         "sqrt_conics": of_scene.sqrt_conics,
         "opacities": of_scene.opacities,
         "channels": of_channels,
     }
+    return found if scene.pull is None else found | {"pull": of_scene.pull}
+
+
+def watched(scene):
+    """The scene, with the gradient of `pull` asked for."""
+    return replace(scene, pull=jnp.zeros_like(scene.means2d))
 
 
 def random_cotangents(scene, channels, seed=1):
@@ -168,6 +174,44 @@ def test_culled_rows_change_nothing_and_get_no_gradient(backend):
         assert_array_equal(value[100:], 0, err_msg=name)
 
 
+# --- the pull of pixels ---
+
+
+def test_pull_is_the_sum_over_pixels_of_absolute_derivatives(backend):
+    # One pixel after the other: the derivative of what it adds to the objective, by JAX through `reference`.
+    scene = random_splats(7, n=12, size=(9, 6), sigma=(0.8, 3.0))
+    weights, weight = random_cotangents(scene, 3)
+
+    def at_pixels(means2d):
+        image, alpha = draw(replace(scene, means2d=means2d), "reference")
+        return jnp.sum(image * weights, axis=-1) + alpha * weight
+
+    expected = np.abs(jax.jacrev(at_pixels)(scene.means2d)).sum(axis=(0, 1))
+    assert np.count_nonzero(expected) > 12
+    pull = gradients(watched(scene), scene.colors, (weights, weight), backend)["pull"]
+    assert_allclose(pull, expected, rtol=1e-4, atol=1e-5 * expected.max())
+
+
+def test_opposite_pulls_add_up_where_their_sum_is_nothing(backend):
+    scene = watched(splats(at(8, 8, sigma=2.0, opacity=0.5), size=(16, 16)))  # symmetric, as is the loss
+    ones = (jnp.ones((16, 16, 3)), jnp.ones((16, 16)))
+    found = gradients(scene, scene.colors, ones, backend)
+    # 2 alpha |dx| / sigma^2 at each pixel, where the splat is drawn: red and alpha count.
+    offset = np.arange(16) + 0.5 - 8
+    alpha = 0.5 * np.exp(-(offset[:, None] ** 2 + offset[None] ** 2) / 8)
+    expected = np.sum(2 * np.where(alpha >= 1 / 255, alpha, 0) * np.abs(offset) / 4)
+    assert_allclose(found["means2d"], 0, atol=1e-5)
+    assert_allclose(found["pull"], expected, rtol=1e-5)
+
+
+def test_pull_of_culled_rows_is_nothing(backend):
+    scene = random_splats(n=100)
+    culled = watched(replace(scene, extents=scene.extents.at[50:].set(0)))
+    pull = gradients(culled, culled.colors, random_cotangents(culled, 3), backend)["pull"]
+    assert_array_equal(pull[50:], 0)
+    assert pull[:50].any()
+
+
 # --- against the reference ---
 
 
@@ -186,6 +230,29 @@ def test_double_precision_equals_the_reference_to_its_rounding(fast, x64):
     for actual, expected in zip(draw(scene, fast), draw(scene, "reference"), strict=True):
         assert_allclose(actual, expected, atol=1e-13)
     assert_same_gradients(scene, scene.colors, fast, 1e-11)
+
+
+@pytest.mark.parametrize("channels", [1, 3, 4])
+def test_pull_equals_the_reference_and_leaves_the_other_gradients(fast, channels):
+    scene = random_splats(6)
+    values = jnp.asarray(np.random.default_rng(2).normal(size=(400, channels)).astype(np.float32))
+    assert_same_gradients(watched(scene), values, fast, 2e-5)
+    cotangents = random_cotangents(scene, channels)
+    with_pull = gradients(watched(scene), values, cotangents, fast)
+    for name, value in gradients(scene, values, cotangents, fast).items():
+        assert_allclose(with_pull[name], value, atol=1e-6 * np.abs(value).max(), err_msg=name)
+
+
+def test_pull_of_thousands_of_splats_in_one_tile(fast):
+    scene = random_splats(n=5000, size=(16, 12), sigma=(0.5, 6), opacity=(0.004, 0.05))
+    assert_same_gradients(watched(scene), scene.colors, fast, 1e-4)
+
+
+def test_pull_in_double_precision_equals_the_reference_to_its_rounding(fast, x64):
+    if reason := rasterizers.why_unavailable(fast, np.float64):
+        pytest.skip(reason)
+    scene = random_splats(3, dtype=np.float64)
+    assert_same_gradients(watched(scene), scene.colors, fast, 1e-11)
 
 
 @pytest.mark.parametrize("channels", [1, 4, 13])

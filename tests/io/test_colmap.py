@@ -23,7 +23,7 @@ def capture(tmp_path):
 
 def test_a_known_point_projects_to_its_known_pixel(capture):
     view = sx.load_dataset(capture).train[0]
-    rotation = pycolmap.Rotation3d([0, 0.04, 0, 1]).matrix()
+    rotation = pycolmap.Rotation3d(np.array([0, 0.04, 0, 1]) / np.hypot(0.04, 1)).matrix()
     x, y, z = rotation @ (POINTS[3] + [0, 0, 5]) + [0.2, 0, 0]
     expected = [60 * x / z + 30, 61 * y / z + 25]
     assert view.name == "photo01.png"

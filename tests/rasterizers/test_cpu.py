@@ -39,6 +39,19 @@ def test_any_number_of_threads_gives_the_same_bits(threads):
         assert_array_equal(a, b)
 
 
+@pytest.mark.parametrize("other", [replace(cpu.best, threads=1), replace(cpu.best, max_pairs=100)])
+def test_pull_depends_neither_on_threads_nor_on_rounds(other):
+    watched = replace(SCENE, pull=jnp.zeros_like(SCENE.means2d))
+    for a, b in zip(image_and_gradient(watched, other), image_and_gradient(watched), strict=True):
+        assert_allclose(a, b, atol=2e-5 * max(np.abs(b).max(), 1))
+
+
+def test_pull_of_more_channels_than_are_drawn_at_once_is_refused():
+    watched = replace(SCENE, pull=jnp.zeros_like(SCENE.means2d))
+    with pytest.raises(ValueError, match="`pull` for up to 4 channels, not for 6"):
+        cpu.best.composite(watched, jnp.ones((600, 6)))
+
+
 def test_rounds_change_nothing_that_is_drawn():
     at_once = image_and_gradient(SCENE)
     in_rounds = image_and_gradient(SCENE, replace(cpu.best, max_pairs=100))

@@ -148,6 +148,18 @@ def test_pull_is_the_gradient_with_the_image_from_minus_one_to_one():
     assert_allclose(state.screen, np.asarray(splats.extents).max(axis=1) / 32, rtol=1e-6)
 
 
+def test_absolute_pull_is_asked_for_and_read():
+    splats = project(random_gaussians(n=30), camera_at(size=(32, 24)))
+    assert Classic().watch(splats).pull is None
+    strategy = Classic(absolute=True)
+    watched = strategy.watch(splats)
+    assert_array_equal(watched.pull, np.zeros((30, 2)))
+    d_splats = replace(watched, means2d=jnp.zeros((30, 2)), pull=jnp.full((30, 2), 0.5))
+    state = strategy.observe(strategy.init(30), watched, d_splats)
+    visible = np.asarray(splats.extents > 0).any(axis=1)
+    assert_allclose(state.pull, np.where(visible, np.hypot(0.5 * 16, 0.5 * 12), 0), rtol=1e-6)
+
+
 def test_moments_follow_their_gaussians():
     gaussians = scene([0.05, 0.5, 0.05], [0.5, 0.5, 0.004])
     refined = refine(gaussians, pulled([1, 1, 0]), 3)  # clone, split, prune
@@ -205,12 +217,11 @@ def test_a_refined_scene_is_the_living_first_and_then_empty_slots(strategy, stat
 # --- capacity ---
 
 
-def test_capacity_grows_by_halves():
-    capacities = [bucket_for(n) for n in (1, 1024, 1025, 100_000)]
-    assert capacities[:2] == [1024, 1024]
-    assert capacities[2] == 1536
-    assert 100_000 <= capacities[3] <= 150_000
+def test_capacity_doubles_up_to_what_will_ever_be_needed():
+    assert [bucket_for(n) for n in (1, 1024, 1025, 100_000)] == [1024, 1024, 2048, 131_072]
     assert bucket_for(10, current=5000) == 5000
+    assert [bucket_for(n, 1024, 3000) for n in (1000, 1025, 2049)] == [1024, 2048, 3000]
+    assert bucket_for(5000, 1024, 3000) == 8192  # more than expected
 
 
 def test_capacity_changes_nothing_in_the_image():

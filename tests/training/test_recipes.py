@@ -54,6 +54,25 @@ def test_training_grows_to_the_most_learns_and_repeats_bit_for_bit(name):
         assert_array_equal(a, b)
 
 
+def test_absgrad_is_classic_with_another_signal():
+    absgrad, classic = (RECIPES[name](steps=2000).density for name in ("absgrad", "classic"))
+    assert replace(classic, absolute=True, pull_threshold=8e-4) == absgrad
+
+
+def test_absgrad_sees_pulls_that_cancel_out_for_classic():
+    states = []
+    for name in ("classic", "absgrad"):
+        recipe = replace(RECIPES[name](steps=20), sh_degree=1)
+        *_, (_, _, _, progress) = run(capture(), recipe)
+        states.append(progress.state.train.density_state)
+    classic, absgrad = states
+    assert_array_equal(absgrad.views, classic.views)  # the same scene, seen alike
+    assert_allclose(absgrad.screen, classic.screen)
+    seen = np.asarray(classic.views) > 0
+    assert np.all(np.asarray(absgrad.pull)[seen] >= 0.999 * np.asarray(classic.pull)[seen])
+    assert np.sum(absgrad.pull) > 1.5 * np.sum(classic.pull)
+
+
 def test_rates_are_raised_for_short_runs_and_never_fall_below_the_authors():
     authors = LearningRates()
     assert_allclose(rates_for(2000).means, 8 * authors.means)

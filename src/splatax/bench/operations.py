@@ -84,7 +84,7 @@ def training(scene: Scene, backend: str) -> dict[str, Operation]:
     return {
         f"loss{BACKWARD}": lambda: loss_gradient(image, photo),
         "Adam": adam(scene),
-        "training step": step(scene, backend),
+        "training step": step(scene, replace(Recipe(), backend=backend)),
     }
 
 
@@ -111,9 +111,8 @@ def adam(scene: Scene) -> Operation:
     return operation
 
 
-def step(scene: Scene, backend: str) -> Operation:
+def step(scene: Scene, recipe: Recipe) -> Operation:
     """A whole step of training: projection, rasterizer, loss, all gradients, Adam."""
-    recipe = replace(Recipe(steps=1_000_000), backend=backend)
     gaussians = jax.tree.map(jnp.array, scene.gaussians)
     # A small extent, so that the means stay, and each step does the same work.
     state = first_state(gaussians, recipe, extent=1e-6, photos=1)

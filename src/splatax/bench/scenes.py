@@ -5,13 +5,12 @@ from dataclasses import dataclass, replace
 import jax.numpy as jnp
 import numpy as np
 
-from splatax.camera import Camera, look_at
+from splatax.camera import Camera
 from splatax.gaussians import Gaussians
 from splatax.math import harmonics
+from splatax.paths.shapes import FOCAL, overview
 
 LAYERS = 14.0  # Gaussians over a point of a surface; trained scenes have about as many
-VIEW = (0.5, 0.2, 1.0)  # direction in which the camera looks at a whole scene
-FOCAL = 0.8  # of the longer side of the image
 
 
 @dataclass(frozen=True)
@@ -68,12 +67,7 @@ def framed(name: str, gaussians: Gaussians, nearness: float, size: tuple[int, in
         nearness: 1 is so far that nearly all of it is in the image; 3, a third as far.
         size: of the image: width and height, pixels.
     """
-    low, high = np.percentile(np.asarray(gaussians.means, np.float64), [1, 99], axis=0)
-    centre, radius = (low + high) / 2, np.linalg.norm(high - low) / 2
-    focal = FOCAL * max(size)
-    distance = radius / np.sin(np.arctan(min(size) / 2 / focal)) / nearness
-    position = centre - distance * np.array(VIEW) / np.linalg.norm(VIEW)
-    pose = look_at(*(jnp.asarray(v, jnp.float32) for v in (position, centre, (0, -1, 0))))
+    camera = overview(np.asarray(gaussians.means), size, nearness)
     missing = max(harmonics.count(3) - gaussians.sh.shape[1], 0)
     gaussians = replace(gaussians, sh=jnp.pad(gaussians.sh, [(0, 0), (0, missing), (0, 0)]))
-    return Scene(name, gaussians, Camera.simple_pinhole(focal, pose, *size))
+    return Scene(name, gaussians, camera)

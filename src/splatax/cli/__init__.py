@@ -8,21 +8,31 @@ import tyro
 
 from splatax.cli.bench import Bench
 from splatax.cli.compare import Compare
+from splatax.cli.create import Create
 from splatax.cli.demo import Demo
 from splatax.cli.doctor import Doctor
 from splatax.cli.evaluate import Evaluate
 from splatax.cli.export import Export
+from splatax.cli.inspect import Inspect
+from splatax.cli.page import Page
 from splatax.cli.platform import keep_compiled_programs, keep_freed_memory
+from splatax.cli.reconstruct import Reconstruct
 from splatax.cli.render import Render
 from splatax.cli.train import Train
+from splatax.cli.view import View
 from splatax.errors import InputError
 
 Command = (
-    Annotated[Train, tyro.conf.subcommand("train")]
+    Annotated[Create, tyro.conf.subcommand("create")]
+    | Annotated[Reconstruct, tyro.conf.subcommand("reconstruct")]
+    | Annotated[Inspect, tyro.conf.subcommand("inspect")]
+    | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Evaluate, tyro.conf.subcommand("eval")]
     | Annotated[Render, tyro.conf.subcommand("render")]
+    | Annotated[View, tyro.conf.subcommand("view")]
     | Annotated[Compare, tyro.conf.subcommand("compare")]
     | Annotated[Export, tyro.conf.subcommand("export")]
+    | Annotated[Page, tyro.conf.subcommand("page")]
     | Annotated[Demo, tyro.conf.subcommand("demo")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]

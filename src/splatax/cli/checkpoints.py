@@ -152,6 +152,7 @@ def packed(history: History) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         "seconds": history.train_seconds,
         "evaluations": [asdict(evaluation) for evaluation in history.evaluations],
         "frames": [label for label, _ in history.frames],
+        "changes": history.changes,
     }
     return header, arrays
 
@@ -168,4 +169,5 @@ def unpacked(saved: Checkpoint) -> History:
         ],
         frames=[(label, arrays[f"history/frame{i}"]) for i, label in enumerate(header["frames"])],
         train_seconds=header["seconds"],
+        changes=[(step, total) for step, total in header["changes"]],
     )

@@ -106,7 +106,7 @@ def lineup(runs: Sequence[FinishedRun], models: Sequence[Model], view: sx.View, 
     Raises:
         InputError: if the photo is transparent, and the runs saw it over different backgrounds.
     """
-    backgrounds = [BACKGROUNDS[run.options["background"]].rgb for run in runs]
+    backgrounds = [BACKGROUNDS[run.options["background"] or "black"].rgb for run in runs]
     photo = photo_of(view, backgrounds[0])
     for run, background in zip(runs, backgrounds, strict=True):
         if background != backgrounds[0] and np.any(photo_of(view, background) != photo):

@@ -5,8 +5,6 @@ import time
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskProgressColumn, TextColumn
 
-from splatax.training.faults import Faults
-
 PLAIN_SECONDS = 10  # between lines where there is no terminal
 REFRESH_SECONDS = 0.25  # between updates of the bar
 SPEED_STEPS = 50  # that the speed is averaged over
@@ -21,7 +19,6 @@ class Display:
         self.psnr: float | None = None
         self._times: list[tuple[int, float]] = []  # from the end of the first step, which compiles
         self._shown = 0.0
-        self._warned = False
         self._bar = Progress(
             TextColumn("{task.description}"),
             BarColumn(bar_width=None),
@@ -59,15 +56,11 @@ class Display:
         self._shown = now
         state = self._state(step, float(loss), count)  # type: ignore[arg-type]
         if self.console.is_terminal:
-            self._bar.update(self._task, completed=step, description="training", state=state)
+            self._bar.update(
+                self._task, completed=step, total=self.steps, description="training", state=state
+            )
         else:
             self.console.print(f"step {step:,} of {self.steps:,}  {state}", soft_wrap=True)
-
-    def warn(self, faults: Faults) -> None:
-        """Says once if anything was not finite. Reading that waits for the device."""
-        if int(faults.steps) and not self._warned:
-            self._warned = True
-            self.console.print(describe(faults), soft_wrap=True)
 
     def _state(self, step: int, loss: float, count: int) -> str:
         parts = [f"loss {loss:.4f}", f"{count:,} Gaussians"]
@@ -78,11 +71,6 @@ class Display:
             speed = (last_step - first_step) / max(last_time - first_time, 1e-9)
             parts.append(f"{speed:.1f} steps/s  ETA {duration((self.steps - step) / speed)}")
         return "  ".join(parts)
-
-
-def describe(faults: Faults) -> str:
-    """What was not finite in a run, in words."""
-    return f"not finite: {int(faults.steps):,} steps were left out, and {int(faults.gaussians):,} Gaussians removed"
 
 
 def duration(seconds: float) -> str:

@@ -146,7 +146,7 @@ class Export:
         moved = views
         if place is not None:
             moved = tuple(replace(view, camera=place.transform_camera(view.camera)) for view in views)
-        background = BACKGROUNDS[model.options.get("background", "black")].rgb
+        background = BACKGROUNDS[model.options.get("background") or "black"].rgb
         backend = resolve_backend(self.backend)
         before, after = (
             sx.evaluate(g, v, background=background, low_pass=model.low_pass, backend=backend)

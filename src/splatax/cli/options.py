@@ -60,6 +60,12 @@ def read_model(path: Path, low_pass: str | None) -> Model:
     return Model(path, gaussians, options, LOW_PASSES[name])
 
 
+def scene_of(model: Model) -> Path | None:
+    """The capture that a run was trained on, if it is known and where it was."""
+    scene = model.options.get("scene")
+    return Path(scene) if scene and Path(scene).is_dir() else None
+
+
 def load_scene(scene: Path, downscale: Downscale | None, model: Model | None = None) -> sx.Dataset:
     """Loads a capture, at the size that a model was trained at unless told otherwise."""
     chosen = downscale

@@ -1,6 +1,6 @@
-"""`splatax render`: pictures and depth of a scene from the cameras of its capture."""
+"""`splatax render`: pictures and depth of a scene from the cameras of its capture, or a film."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -10,6 +10,7 @@ from rich.progress import track
 
 import splatax as sx
 from splatax.cli.evaluate import views_of
+from splatax.cli.film import SHAPES, Film, parse_size
 from splatax.cli.options import (
     BackendName,
     BackgroundName,
@@ -18,8 +19,10 @@ from splatax.cli.options import (
     load_scene,
     read_model,
     resolve_backend,
+    scene_of,
 )
 from splatax.errors import InputError
+from splatax.io import video
 from splatax.io.images import write
 from splatax.metrics import to_8bit
 from splatax.report.pictures import depth_map
@@ -28,20 +31,32 @@ from splatax.training.backgrounds import BACKGROUNDS
 
 @dataclass(frozen=True)
 class Render:
-    """Draw a scene from the cameras of its capture.
+    """Draw a scene from the cameras of its capture, or with --path a film.
 
-    Writes rgb/NAME.png, depth/NAME.npy (float32, world units along the optical axis, 0 where
-    nothing is) and depth/NAME.png to look at.
+    Without --path: writes rgb/NAME.png, depth/NAME.npy (float32, world units along the optical axis, 0
+    where nothing is) and depth/NAME.png to look at.
     """
 
     model: tyro.conf.Positional[Path]
     """A splat file, or the folder of a run."""
-    scene: tyro.conf.Positional[Path]
-    """Folder of the capture."""
-    out: Path
-    """Folder for the pictures."""
+    scene: tyro.conf.Positional[Path | None] = None
+    """Folder of the capture. Without it: the one that the run was trained on. An orbit, and a file of
+    keyframes, do without any."""
+    out: Path = field(kw_only=True)
+    """Folder for the pictures; for films also a file: .mp4, .webm or .gif."""
+    path: str | None = None
+    """Film: fly along this. "orbit": around what the cameras look at; "spiral": before a capture taken in
+    one direction; "interpolate": through the cameras; or a .json file of keyframes."""
+    size: str | None = None
+    """Film: WIDTHxHEIGHT in pixels. Without it: that of the photos, else 960x540."""
+    fps: int | None = None
+    """Film: frames a second. Without it: 30."""
+    seconds: float | None = None
+    """Film: how long. Without it: 10."""
+    depth: bool = False
+    """Film: show depth beside colour."""
     split: Literal["test", "train", "all"] = "test"
-    """Which cameras: every 8th by name is for testing."""
+    """Pictures: which cameras. Every 8th by name is for testing."""
     downscale: Downscale | None = None
     """Divide the size of pictures by this. "auto": the least that brings them to 1600 pixels."""
     background: BackgroundName | None = None
@@ -51,18 +66,26 @@ class Render:
     backend: BackendName = "auto"
     """Rasterizer."""
     overwrite: bool = False
-    """Replace pictures of an earlier call in the same folder."""
+    """Replace what an earlier call has written to the same place."""
 
     def run(self) -> None:
+        film = self._film()
         model = read_model(self.model, self.low_pass)
-        dataset = load_scene(self.scene, self.downscale, model)
+        scene = self.scene or scene_of(model)
+        dataset = load_scene(scene, self.downscale, model) if scene else None
         background = BACKGROUNDS[self.background or model.options.get("background") or "black"].rgb
+        if film:
+            self._refuse_to_replace(film=True)
+            film = replace(film, background=background, backend=resolve_backend(self.backend))
+            cameras = film.cameras(model, dataset)
+            film.write(self.out, model, cameras)
+            print(f"{len(cameras)} frames in {self.out}")
+            return
+        if dataset is None or scene is None:
+            raise InputError(f"{self.model}: from which cameras? Name the capture's folder, or a --path.")
         backend = resolve_backend(self.backend)
-        views = views_of(dataset, self.split, self.scene)
-        if (self.out / "rgb").exists() and not self.overwrite:
-            raise InputError(
-                f"{self.out}: holds pictures. Choose another --out, or replace them: --overwrite."
-            )
+        views = views_of(dataset, self.split, scene)
+        self._refuse_to_replace(film=False)
         for view in track(views, description="rendering"):
             drawn = sx.render(
                 model.gaussians,
@@ -73,6 +96,35 @@ class Render:
             )
             self.save(Path(view.name).with_suffix(""), drawn)
         print(f"{len(views)} views in {self.out}")
+
+    def _film(self) -> Film | None:
+        """The film that the options describe; None if they ask for pictures.
+
+        Raises:
+            InputError: if they are out of range, or do not go together.
+        """
+        for name in ("fps", "seconds"):
+            value = getattr(self, name)
+            if value is not None and not value > 0:
+                raise InputError(f"--{name}: more than 0, not {value}.")
+        size = parse_size(self.size)
+        if self.path is None:
+            given = [name for name in ("size", "fps", "seconds", "depth") if getattr(self, name)]
+            if given or self.out.suffix.lower() in video.SUFFIXES:
+                what = f"--{given[0]}" if given else self.out
+                raise InputError(f"{what}: for films alone. Say what to fly along: --path orbit.")
+            return None
+        path = self.path if self.path in SHAPES else Path(self.path)
+        fps = 30 if self.fps is None else self.fps
+        return Film(path, size, fps, 10.0 if self.seconds is None else self.seconds, self.depth)
+
+    def _refuse_to_replace(self, film: bool) -> None:
+        """Raises InputError if there is something where the result is to go."""
+        taken = self.out / "rgb"
+        if film:
+            taken = self.out / "frame00000.png" if self.out.is_dir() else self.out
+        if taken.exists() and not self.overwrite:
+            raise InputError(f"{taken}: exists. Choose another --out, or replace it: --overwrite.")
 
     def save(self, name: Path, drawn: sx.Rendering) -> None:
         """Writes the files of one view."""

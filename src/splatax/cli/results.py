@@ -88,6 +88,7 @@ class Run:
         return {
             "options": as_json(self.config),
             "recipe": as_json(self.recipe),
+            "changes": self.history.changes,
             "capture": list(self.dataset.notes),
             "device": device(),
             "versions": versions(),

@@ -2,12 +2,15 @@
 
 import time
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import splatax as sx
+from splatax.budget import Changes
 from splatax.cli.checkpoints import FOLDER, Checkpoints, files
 from splatax.cli.display import Display
 from splatax.cli.interruption import Interruption
+from splatax.cli.view import Audience
 from splatax.errors import InputError
 from splatax.evaluation import picture
 from splatax.io.files import write_whole
@@ -61,6 +64,8 @@ def train(
     checkpoints: Checkpoints,
     history: History,
     start: RunState | None = None,
+    changes: Changes | None = None,
+    audience: Audience | None = None,
 ) -> sx.Progress:
     """Trains with a progress bar, evaluations, pictures of one view and checkpoints; returns the end.
 
@@ -73,30 +78,40 @@ def train(
         checkpoints: where the run is saved now and then, and when it is interrupted.
         history: of the run until now; it grows.
         start: the run to go on with.
+        changes: of the number of steps. Those of the history are made again.
+        audience: who may look on; None for nobody.
     """
-    frames = {max(round(recipe.steps * (i / (FRAMES - 1)) ** 2), 1) for i in range(FRAMES)}
+    changes = changes or Changes()
+    changes.made = history.changes
     with Display(recipe.steps) as display, Interruption() as interruption:
         display.announce("compiling the first step")
         watch = Stopwatch(time.monotonic() - history.train_seconds)
-        for progress in sx.optimize(dataset, recipe, start):
+        for progress in sx.optimize(dataset, recipe, start, changes):
             history.losses.append(progress.loss)
             history.counts.append(progress.count)
+            display.steps = progress.total
             display.step(progress.step, progress.loss, progress.count)
-            last = progress.step == recipe.steps
+            last = progress.step == progress.total
+            looked = changes.due(progress.step, progress.total)
+            shown = progress.step in frames(progress.total)
             evaluated = bool(eval_every and dataset.test) and progress.step % eval_every == 0 and not last
             stopped = interruption.requested and not last
             saved = not last and (checkpoints.due(progress.step) or stopped)
-            if evaluated or saved or progress.step in frames:
+            watched = audience is not None and audience.waits
+            if evaluated or saved or looked or shown or watched:
                 progress.loss.block_until_ready()
                 history.train_seconds = seconds = watch.seconds()
-                display.warn(progress.faults)
-                if progress.step in frames:
+                if looked:
+                    changes.note(progress.step, progress.total, seconds)
+                if shown:
                     history.frames.append(frame(progress, dataset, recipe))
                 if evaluated:
                     history.evaluations.append(evaluate(progress, dataset, recipe, seconds))
                     display.psnr = history.evaluations[-1].scores.psnr
                 if saved:
                     checkpoints.save(progress.state, history)
+                if audience and watched:
+                    audience.show(progress, history, lambda: interruption.requested)
                 watch.paused += watch.seconds() - seconds
             if stopped:
                 history.interrupted = True
@@ -104,6 +119,12 @@ def train(
         progress.loss.block_until_ready()
         history.train_seconds = watch.seconds()
     return progress
+
+
+@cache
+def frames(total: int) -> set[int]:
+    """Steps that have a picture in the animation."""
+    return {max(round(total * (i / (FRAMES - 1)) ** 2), 1) for i in range(FRAMES)}
 
 
 def evaluate(progress: sx.Progress, dataset: sx.Dataset, recipe: sx.Recipe, seconds: float) -> Evaluation:

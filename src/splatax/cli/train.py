@@ -1,14 +1,18 @@
 """`splatax train`: from a capture to a scene."""
 
+import json
+from collections.abc import Mapping, Set
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import tyro
 
 import splatax as sx
+from splatax.budget import Changes, Clock, measured, parse_seconds, plan
 from splatax.cli.checkpoints import Checkpoints, unpacked
-from splatax.cli.display import describe
+from splatax.cli.display import duration
 from splatax.cli.options import (
     AppearanceName,
     BackendName,
@@ -22,6 +26,7 @@ from splatax.cli.options import (
 from splatax.cli.results import Run
 from splatax.cli.resume import Earlier, facts, find
 from splatax.cli.session import claim, train
+from splatax.cli.view import audience
 from splatax.errors import InputError
 from splatax.io.datasets import colmap_writing
 from splatax.projection import LOW_PASSES
@@ -31,8 +36,10 @@ from splatax.training.backgrounds import BACKGROUNDS
 from splatax.training.initialize import InFrusta
 from splatax.training.recipes import RECIPES, room_for
 from splatax.training.refinement import REFINEMENTS, Given, refined
+from splatax.viewer.server import LOCAL, PORT
 
-FREE = {"scene", "resume", "checkpoint_every", "checkpoint_steps"}  # options that may change in a run
+WATCHING = {"view", "host", "port"}
+FREE = {"scene", "resume", "repeat", "checkpoint_every", "checkpoint_steps"} | WATCHING  # may change in a run
 
 RecipeName = Literal[*RECIPES]  # type: ignore[valid-type]
 
@@ -47,24 +54,29 @@ class Train:
     """
 
     scene: tyro.conf.Positional[Path | None] = None
-    """Folder of the capture: photos and a COLMAP model (images/ and sparse/0/)."""
+    """Folder of the capture, or a zip file of it: photos with a COLMAP model (images/ and sparse/0/),
+    transforms.json, or LLFF's poses_bounds.npy. Photos without poses: splatax reconstruct."""
     out: Path | None = None
     """Folder for the results. Without it: runs/NAME, with the name of the capture's folder."""
+    budget: str | None = None
+    """Train for so long, such as 30s, 5min or 1h: plans --steps and --max-gaussians by the measured speed
+    of this machine, and keeps to the time by the clock. config.json then has what --repeat repeats."""
     steps: int = 30_000
     """How many photos to learn from, one after the other."""
     downscale: Downscale = "auto"
     """Divide the size of photos by this. "auto": the least that brings them to 1600 pixels."""
     recipe: RecipeName = "default"
-    """How to train. "default": the best known; "classic": Kerbl et al. 2023; "mcmc": Kheradmand et al.
-    2024."""
+    """How to train. "default": the best known; "classic": Kerbl et al. 2023; "absgrad": Ye et al. 2024;
+    "mcmc": Kheradmand et al. 2024."""
     max_gaussians: Literal["auto"] | int = "auto"
-    """The most Gaussians that the scene may grow to; all recipes but "classic" do grow to it. "auto": as
-    many as the photos have detail for; with "classic" 5,000,000, which it rarely reaches."""
+    """The most Gaussians that the scene may grow to; all recipes but "classic" and "absgrad" do grow to
+    it. "auto": as many as the photos have detail for; with those two 5,000,000, which they rarely reach."""
     init: Literal["sfm", "random"] = "sfm"
     """Start from the capture's points, or at random where the cameras look."""
     background: BackgroundName | None = None
     """Behind the scene, and behind photos with alpha. "random" changes each step, against haze, and is
-    black in evaluations. Without it: the recipe's, random for "default", else black."""
+    black in evaluations. Without it: white for Blender's scenes; else the recipe's, random for
+    "default", else black."""
     low_pass: LowPassName = "dilation"
     """What keeps thin Gaussians visible. "antialiasing" also keeps their brightness from afar."""
     appearance: AppearanceName = "none"
@@ -85,55 +97,84 @@ class Train:
     it is interrupted."""
     checkpoint_steps: int = 0
     """Steps between checkpoints, besides. 0: by the clock alone."""
+    view: bool = False
+    """Watch in the browser while it trains."""
+    host: str = LOCAL[0]
+    """Who may watch: this machine alone; "0.0.0.0" is all who can reach it."""
+    port: int = PORT
+    """Where to watch; the next free one if it is taken."""
     resume: Path | None = None
     """Go on with a run that was stopped: its folder, or one of its checkpoints. All other options are
     as it was started with."""
+    repeat: Path | None = None
+    """Make a finished run again, from its folder: with its options, and as many steps as it came to."""
     overwrite: bool = False
     """Replace the results of an earlier run in the same folder."""
 
     def run(self) -> None:
-        if self.resume is None:
-            self.start(None)
-        else:
+        if self.resume is not None:
             earlier = find(self.resume)
-            self.as_started(earlier).start(earlier)
+            options = self.as_started(earlier.options)
+            history = unpacked(earlier.checkpoint)
+            options.start(history, options.clock(history), earlier)
+        elif self.repeat is not None:
+            stored, made = finished(self.repeat)
+            again = self.as_started(stored | {"out": None, "overwrite": False}, FREE | {"out", "overwrite"})
+            again.start(History(changes=made), Changes())
+        else:
+            self.start(History())
 
-    def as_started(self, earlier: Earlier) -> "Train":
-        """The options of a run, with those of these that it may go on with.
+    def clock(self, history: History) -> Changes | None:
+        """What keeps a run within its budget, if it has one."""
+        if self.budget is None:
+            return None
+        return Clock(seconds=parse_seconds(self.budget), checked=(history.steps, history.train_seconds))
+
+    def as_started(self, options: Mapping[str, Any], free: Set[str] = FREE) -> "Train":
+        """The options of a run, with those of these that are free to change.
 
         Raises:
             InputError: if others are given.
         """
-        stored = dict(earlier.options)
+        stored = dict(options)
         for path in ("scene", "out"):
             stored[path] = stored[path] and Path(stored[path])
         for field in fields(self):
             value = getattr(self, field.name)
             if value in (field.default, stored[field.name]):
                 continue
-            if field.name not in FREE:
+            if field.name not in free:
                 raise InputError(
                     f"--{field.name.replace('_', '-')} {value}: the run was started with "
                     f"{stored[field.name]}, and goes on with that. Leave the option out, or start a new run."
                 )
             stored[field.name] = value
-        return Train(**{**stored, "resume": None})
+        return Train(**{**stored, "resume": None, "repeat": None})
 
-    def start(self, earlier: Earlier | None) -> None:
-        """Trains, from the beginning or from a checkpoint."""
+    def start(self, history: History, changes: Changes | None = None, earlier: Earlier | None = None) -> None:
+        """Trains, from the beginning or from a checkpoint.
+
+        Args:
+            history: of the run until now.
+            changes: of the number of steps; without them, what the options ask for.
+            earlier: the checkpoint to go on from.
+        """
         if self.scene is None:
             raise InputError("Which capture? Name its folder, or a run to go on with: --resume RUN.")
         scene = self.scene.absolute()  # a run may go on from another folder
         self.refuse_what_is_out_of_range()
         dataset = load_scene(self.scene, self.downscale)
-        recipe = self.to_recipe(dataset)
         for note in dataset.notes:
             print(note)
+        settled = replace(self, scene=scene, background=self.background or dataset.background)
+        if changes is None and self.budget is not None:
+            settled, changes = settled.planned(dataset), self.clock(history)
+        recipe = settled.to_recipe(dataset)
         if self.init == "sfm" and not len(dataset.points):
             raise InputError(
                 f"{self.scene}: the capture has no points to start from. Start at random: --init random."
             )
-        options = asdict(replace(self, scene=scene))
+        options = asdict(settled)
         out = earlier.run if earlier else self.out or Path("runs") / scene.resolve().name
         claim(out, self.overwrite or earlier is not None)
         checkpoints = Checkpoints(
@@ -143,20 +184,46 @@ class Train:
             steps=self.checkpoint_steps,
             earlier=earlier.path if earlier else None,
         )
-        history, state = History(), None
+        state = None
         if earlier:
-            history, state = unpacked(earlier.checkpoint), earlier.state(recipe, dataset)
-            print(f"going on after step {history.steps:,} of {self.steps:,}")
-        with checkpoints:
-            last = train(dataset, recipe, self.eval_every, checkpoints, history, state)
+            state = earlier.state(recipe, dataset)
+            print(f"going on after step {history.steps:,} of {int(state.train.total):,}")
+        watched = audience(dataset, recipe, self.host, self.port) if self.view else nullcontext()
+        with checkpoints, watched as watchers:
+            last = train(dataset, recipe, self.eval_every, checkpoints, history, state, changes, watchers)
             conclude(Run(scene.resolve().name, dataset, recipe, history, last.gaussians, options, out))
             keep_cameras(out, dataset, recipe, last)
-            if int(last.faults.steps):
-                print(describe(last.faults))
         if history.interrupted:
             print(f"stopped at step {history.steps:,}. Go on: splatax train --resume {out}")
         else:
             checkpoints.discard()
+
+    def planned(self, dataset: sx.Dataset) -> "Train":
+        """The same with the numbers of steps and Gaussians that fit into the budget. Says what they are.
+
+        Raises:
+            InputError: if the budget is not a time, or the recipe is not one that it can plan.
+        """
+        if self.recipe != "default" or self.steps != Train.steps:
+            raise InputError(
+                "--budget: plans the steps of the recipe default. Leave out --recipe and --steps."
+            )
+        try:
+            seconds = parse_seconds(self.budget or "")
+        except ValueError as error:
+            raise InputError(f"--budget: {error}.") from error
+        recipe = self.to_recipe(dataset)
+        print("measuring the speed of this machine ...")
+        camera = dataset.train[0].camera
+        costs = measured((camera.width, camera.height), recipe)
+        first = len(recipe.initialization(dataset, 0, self.seed))
+        most = None if self.max_gaussians == "auto" else self.max_gaussians
+        chosen = plan(costs, seconds, first, room_for(dataset), most)
+        print(
+            f"about {chosen.steps:,} steps and {chosen.max_gaussians:,} Gaussians in {duration(seconds)}, at "
+            f"{1e3 * costs.step(chosen.max_gaussians):.0f} ms a step in the end"
+        )
+        return replace(self, steps=chosen.steps, max_gaussians=chosen.max_gaussians)
 
     def refuse_what_is_out_of_range(self) -> None:
         """Raises InputError if a number makes no sense."""
@@ -174,7 +241,7 @@ class Train:
         """
         most = {"max_gaussians": self.max_gaussians}
         if self.max_gaussians == "auto":
-            most = {} if self.recipe == "classic" else {"max_gaussians": room_for(dataset)}
+            most = {} if self.recipe in ("classic", "absgrad") else {"max_gaussians": room_for(dataset)}
         recipe = RECIPES[self.recipe](steps=self.steps, **most)
         start = recipe.initialization
         if self.init == "random":
@@ -189,6 +256,22 @@ class Train:
             backend=resolve_backend(self.backend),
             seed=self.seed,
         )
+
+
+def finished(run: Path) -> tuple[dict[str, Any], list[tuple[int, int]]]:
+    """Options of a finished run, and the changes of its number of steps.
+
+    Raises:
+        InputError: if there is none in that folder.
+    """
+    path = run / "config.json" if run.is_dir() else run
+    try:
+        config = json.loads(path.read_text())
+        return config["options"], [(step, total) for step, total in config["changes"]]
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(
+            f"{path}: not the config.json of a finished run ({error}). Name its folder."
+        ) from error
 
 
 def keep_cameras(out: Path, dataset: sx.Dataset, recipe: sx.Recipe, last: sx.Progress) -> None:

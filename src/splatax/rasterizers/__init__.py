@@ -84,7 +84,7 @@ def composite(
     """Blends any per-splat channels front to back into every pixel.
 
     Differentiable in means2d, sqrt_conics, opacities and channels. The order of depths is not
-    differentiable; to render depth, pass it as a channel.
+    differentiable; to render depth, pass it as a channel. Splats with `pull` get its gradient too.
 
     Args:
         splats: their `colors` are not used: pass them as channels.
@@ -93,6 +93,10 @@ def composite(
 
     Returns:
         The sums over splats of weight times channel, and the sums of weights (alpha).
+
+    Raises:
+        ValueError: if the backend is unknown, not available here, or cannot give the gradient of
+            `pull` for so many channels.
     """
     if splats.means2d.shape[0] == 0:
         size, dtype = (splats.height, splats.width), splats.means2d.dtype

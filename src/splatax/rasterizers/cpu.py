@@ -17,6 +17,7 @@ from splatax.gaussians import Gaussians
 from splatax.native import Build, photometric, projection
 from splatax.splats import Splats
 
+MAX_PULLED_CHANNELS = 4  # GROUP in native/: of more, no pixel's whole gradient is ever known
 MAX_PAIRS = 2**22  # (splat, tile) pairs in a round: at most 260 MB, however large the scene
 
 
@@ -48,6 +49,11 @@ class Native:
         self, splats: Splats, channels: Float[Array, "n c"]
     ) -> tuple[Float[Array, "h w c"], Float[Array, "h w"]]:
         """Blends `channels` of the splats, nearest first, into every pixel; see `rasterizers.composite`."""
+        if splats.pull is not None and channels.shape[1] > MAX_PULLED_CHANNELS:
+            raise ValueError(
+                f"the native rasterizer gives the gradient of `pull` for up to {MAX_PULLED_CHANNELS} "
+                f"channels, not for {channels.shape[1]}: draw the others apart, or choose the backend 'xla'"
+            )
         return _composite(splats, channels, self.build, self.max_pairs)
 
     def project(self, gaussians: Gaussians, camera: Camera, variance: float, floor: float) -> Splats:
@@ -93,15 +99,16 @@ def _draw(
 
 def _backward(build: Build, max_pairs: int, residuals, cotangents):
     splats, channels, *image = residuals
-    means2d, sqrt_conics, opacities, d_channels = build.call(
+    shapes = [splats.means2d.shape, splats.sqrt_conics.shape, splats.opacities.shape, channels.shape]
+    means2d, sqrt_conics, opacities, d_channels, pull = build.call(
         "splatax_rasterize_gradient",
-        [splats.means2d.shape, splats.sqrt_conics.shape, splats.opacities.shape, channels.shape],
+        [*shapes, (0, 2) if splats.pull is None else splats.pull.shape],  # it is empty where not asked for
         [*_inputs(splats, channels), *image, *cotangents],
         max_pairs=np.int64(max_pairs),
     )
     nothing = jax.tree.map(jnp.zeros_like, splats)
     d_splats = replace(nothing, means2d=means2d, sqrt_conics=sqrt_conics, opacities=opacities)
-    return d_splats, d_channels
+    return replace(d_splats, pull=None if splats.pull is None else pull), d_channels
 
 
 _composite.defvjp(_forward, _backward)

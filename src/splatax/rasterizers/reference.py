@@ -27,9 +27,10 @@ def composite(
     means2d, sqrt_conics = splats.means2d[order], splats.sqrt_conics[order]
     opacities = jnp.where(visible, splats.opacities, 0)[order]
     channels = channels[order]
+    pull = None if splats.pull is None else splats.pull[order]
 
     def pixel(x: Float[Array, ""], y: Float[Array, ""]):
-        alphas = alphas_at(jnp.array([x, y]), means2d, sqrt_conics, opacities)
+        alphas = alphas_at(offsets(jnp.array([x, y]), means2d, pull), sqrt_conics, opacities)
         weights = weights_along_ray(alphas)
         return weights @ channels, jnp.sum(weights)
 
@@ -40,14 +41,34 @@ def composite(
     return jax.lax.map(lambda y: row(columns, y), rows)
 
 
+def offsets(
+    pixel: Float[Array, "2"], means2d: Float[Array, "n 2"], pull: Float[Array, "n 2"] | None
+) -> Float[Array, "n 2"]:
+    """From the means to a pixel."""
+    return pixel[None, :] - means2d if pull is None else watched_offsets(pixel, means2d, pull)
+
+
+@jax.custom_vjp
+def watched_offsets(
+    pixel: Float[Array, "2"], means2d: Float[Array, "n 2"], pull: Float[Array, "n 2"]
+) -> Float[Array, "n 2"]:
+    """The same; `pull` gets the absolute value of what the pixel adds to the gradient of the means."""
+    return pixel[None, :] - means2d
+
+
+watched_offsets.defvjp(
+    lambda pixel, means2d, pull: (pixel[None, :] - means2d, None),
+    lambda _, gradient: (jnp.sum(gradient, axis=0), -gradient, jnp.abs(gradient)),
+)
+
+
 def alphas_at(
-    pixel: Float[Array, "2"],
-    means2d: Float[Array, "n 2"],
+    offsets: Float[Array, "n 2"],
     sqrt_conics: Float[Array, "n 3"],
     opacities: Float[Array, " n"],
 ) -> Float[Array, " n"]:
-    """alpha = min(0.99, opacity G) at a pixel, and 0 where that is below 1/255."""
-    dx, dy = (pixel[None, :] - means2d).T
+    """alpha = min(0.99, opacity G) at offsets from the means, and 0 where that is below 1/255."""
+    dx, dy = offsets.T
     u, v, w = sqrt_conics.T
     gaussian = jnp.exp(-0.5 * (jnp.square(u * dx + v * dy) + jnp.square(w * dy)))
     alphas = jnp.minimum(opacities * gaussian, MAX_ALPHA)

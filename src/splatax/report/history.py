@@ -26,6 +26,7 @@ class History:
         evaluations: of the test views.
         frames: of one view, as (label, picture).
         train_seconds: spent on steps, compilation included, evaluation and pictures not.
+        changes: of the planned number of steps: after which step, and to how many.
         interrupted: whether the user stopped it early.
     """
 
@@ -34,6 +35,7 @@ class History:
     evaluations: list[Evaluation] = field(default_factory=list)
     frames: list[tuple[str, Picture]] = field(default_factory=list)
     train_seconds: float = 0.0
+    changes: list[tuple[int, int]] = field(default_factory=list)
     interrupted: bool = False
 
     @property

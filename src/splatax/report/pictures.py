@@ -32,12 +32,29 @@ def error_map(image: Picture, photo: Picture, mask: Mask | None = None) -> Pictu
 
 def depth_map(depth: Float[np.ndarray, "h w"], alpha: Float[np.ndarray, "h w"]) -> Picture:
     """Depth in colour, near is bright, from the 2nd to the 98th percentile; black where nothing is."""
-    covered = alpha > 0.5
-    if not covered.any():
+    return shaded(depth, alpha, depth_range(depth, alpha))
+
+
+def depth_range(
+    depth: Float[np.ndarray, "..."], alpha: Float[np.ndarray, "..."]
+) -> tuple[float, float] | None:
+    """The 2nd and the 98th percentile of depth where something is; None where nothing is."""
+    covered = depth[alpha > 0.5]
+    if not covered.size:
+        return None
+    near, far = np.percentile(covered, [2, 98])
+    return float(near), float(far)
+
+
+def shaded(
+    depth: Float[np.ndarray, "h w"], alpha: Float[np.ndarray, "h w"], limits: tuple[float, float] | None
+) -> Picture:
+    """Depth in colour, from bright at the nearer limit to dark at the other; black where nothing is."""
+    if limits is None:
         return np.zeros((*depth.shape, 3), np.uint8)
-    near, far = np.percentile(depth[covered], [2, 98])
+    near, far = limits
     shades = 1 - (depth - near) / max(far - near, 1e-12)
-    return np.where(covered[..., None], colored(shades, "viridis"), 0).astype(np.uint8)
+    return np.where((alpha > 0.5)[..., None], colored(shades, "viridis"), 0).astype(np.uint8)
 
 
 def colored(values: Float[np.ndarray, "h w"], colormap: str) -> Picture:

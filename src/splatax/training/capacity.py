@@ -8,14 +8,17 @@ from jaxtyping import Array, Int
 
 from splatax.gaussians import Gaussians
 
-GROWTH = 1.5
+GROWTH = 2
 SMALLEST = 1024
 
 
-def bucket_for(count: int, current: int = SMALLEST) -> int:
-    """The capacity for `count` Gaussians: `current` if they fit, else grown by halves until they do."""
+def bucket_for(count: int, current: int = SMALLEST, most: int | None = None) -> int:
+    """The capacity for `count` Gaussians: `current` if they fit, else doubled until they do, but no more
+    than `most` of them, where that is known, will need."""
+    if most is not None and current < count <= most:
+        return min(bucket_for(count, current), most)
     while current < count:
-        current = -(-int(current * GROWTH) // 256) * 256
+        current *= GROWTH
     return current
 
 

@@ -1,6 +1,6 @@
 """Training as a generator: progress bars, evaluation and viewers are `for` loops over it."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import jax
@@ -11,9 +11,8 @@ from splatax import rasterizers
 from splatax.dataset import Dataset
 from splatax.errors import DatasetError
 from splatax.gaussians import Gaussians
-from splatax.training import faults, optimizer
+from splatax.training import optimizer
 from splatax.training.capacity import bucket_for, pad
-from splatax.training.faults import Faults
 from splatax.training.feed import batches
 from splatax.training.initialize import require_visible
 from splatax.training.recipes import Recipe
@@ -39,11 +38,13 @@ class Progress:
 
     Attributes:
         step: how many have been made, from 1.
+        total: how many there will be, as planned now.
         loss: of the step's view; reading it waits for the step to end.
         count: of Gaussians.
     """
 
     step: int
+    total: int
     loss: Float[Array, ""]
     count: int
     _state: TrainState
@@ -60,11 +61,6 @@ class Progress:
         return jax.tree.map(lambda leaf: jnp.array(leaf[: self.count]), self._state.gaussians)
 
     @property
-    def faults(self) -> Faults:
-        """What was not finite until now; reading it waits for the step to end."""
-        return self._state.faults
-
-    @property
     def padded(self) -> Gaussians:
         """The same scene with its empty slots, valid until the next step. To look at a scene that
         grows, render this: its shape, and with it the compiled program, changes rarely."""
@@ -78,13 +74,20 @@ def fit(dataset: Dataset, recipe: Recipe) -> Gaussians:
     return progress.gaussians
 
 
-def optimize(dataset: Dataset, recipe: Recipe, start: RunState | None = None) -> Iterator[Progress]:
+def optimize(
+    dataset: Dataset,
+    recipe: Recipe,
+    start: RunState | None = None,
+    pace: Callable[[int], int | None] | None = None,
+) -> Iterator[Progress]:
     """Trains a scene, and yields after each step. The same arguments give the same scene.
 
     Args:
         dataset: the capture.
         recipe: how.
         start: a run of the same data set and recipe, to go on as if it had never stopped. It is used up.
+        pace: asked after each step, once it has been yielded; may say how many steps the run shall have
+            from now on instead of the recipe's.
 
     Raises:
         DatasetError: if there are no training views, or nothing to start from that they see.
@@ -100,7 +103,7 @@ def optimize(dataset: Dataset, recipe: Recipe, start: RunState | None = None) ->
         require_visible(gaussians, dataset)
         padded = pad(gaussians, bucket_for(len(gaussians)))
         start = RunState(first_state(padded, recipe, dataset.extent, len(dataset.train)), len(gaussians))
-    yield from _steps(dataset, recipe, start)
+    yield from _steps(dataset, recipe, start, pace or (lambda step: None))
 
 
 def first_state(gaussians: Gaussians, recipe: Recipe, extent: float, photos: int) -> TrainState:
@@ -108,12 +111,12 @@ def first_state(gaussians: Gaussians, recipe: Recipe, extent: float, photos: int
     key, _ = _keys(recipe)
     return TrainState(
         step=jnp.int32(0),
+        total=jnp.int32(recipe.steps),
         gaussians=gaussians,
         opt_state=optimizer.ADAM.init(gaussians),
         density_state=recipe.density.init(len(gaussians)),
         appearance=recipe.appearance.init(photos),
         cameras=recipe.refinement.init(photos),
-        faults=faults.none(),
         key=key,
         extent=jnp.float32(extent),
     )
@@ -125,14 +128,15 @@ def _keys(recipe: Recipe) -> tuple[PRNGKeyArray, PRNGKeyArray]:
     return key, refine_key
 
 
-def _steps(dataset: Dataset, recipe: Recipe, start: RunState) -> Iterator[Progress]:
+def _steps(
+    dataset: Dataset, recipe: Recipe, start: RunState, pace: Callable[[int], int | None]
+) -> Iterator[Progress]:
     state, count = start.train, start.count
     _, refine_key = _keys(recipe)
-    done = int(state.step)
-    if done >= recipe.steps:
-        raise ValueError(f"nothing left to do: {done} of {recipe.steps} steps are made")
-    steps = range(done + 1, recipe.steps + 1)
-    for step, batch in zip(steps, batches(dataset.train, recipe.seed, done, recipe.resolution), strict=False):
+    done, total = int(state.step), int(state.total)
+    if done >= total:
+        raise ValueError(f"nothing left to do: {done} of {total} steps are made")
+    for step, batch in enumerate(batches(dataset.train, recipe.seed, done, recipe.resolution), done + 1):
         state, loss = train_step(state, batch, recipe)
         if recipe.density.due(step):
             refined = recipe.density.refine(
@@ -150,4 +154,10 @@ def _steps(dataset: Dataset, recipe: Recipe, start: RunState) -> Iterator[Progre
                 opt_state=optimizer.inherit(state.opt_state, refined.lineage),
                 density_state=refined.state,
             )
-        yield Progress(step, loss, count, state)
+        yield Progress(step, total, loss, count, state)
+        planned = pace(step)
+        if planned is not None:
+            total = planned
+            state = replace(state, total=jnp.int32(total))
+        if step >= total:
+            return

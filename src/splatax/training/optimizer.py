@@ -14,6 +14,7 @@ from splatax.training.density.protocol import Lineage
 ADAM = optax.scale_by_adam(b1=0.9, b2=0.999, eps=1e-15)  # epsilon of Kerbl et al. 2023: rates alone decide
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class LearningRates:
     """Steps of Adam for each field (authors' code of Kerbl et al. 2023)."""
@@ -45,7 +46,9 @@ class LearningRates:
         )
 
 
-def without_locked_bands(gradients: Gaussians, step: Int[Array, ""], sh_every: int) -> Gaussians:
+def without_locked_bands(
+    gradients: Gaussians, step: Int[Array, ""], sh_every: int | Int[Array, ""]
+) -> Gaussians:
     """Zeroes the gradients of SH bands that are not free yet: band l is after l * `sh_every` steps."""
     band = jnp.array([l for l in range(harmonics.MAX_DEGREE + 1) for _ in range(2 * l + 1)])
     free = band[: gradients.sh.shape[1]] * sh_every <= step

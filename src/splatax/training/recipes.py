@@ -45,6 +45,16 @@ def classic(steps: int = 30_000, max_gaussians: int = 5_000_000) -> Recipe:
     return Recipe(steps=steps, density=Classic(until=min(15_000, steps // 2), max_gaussians=max_gaussians))
 
 
+def absgrad(steps: int = 30_000, max_gaussians: int = 5_000_000) -> Recipe:
+    """Ye et al. 2024 (AbsGS): as `classic`, but pixels that pull in opposite directions add up.
+
+    With the threshold that gsplat recommends for it.
+    """
+    until = min(15_000, steps // 2)
+    density = Classic(until=until, pull_threshold=8e-4, absolute=True, max_gaussians=max_gaussians)
+    return Recipe(steps=steps, density=density)
+
+
 def mcmc(steps: int = 30_000, max_gaussians: int = 1_000_000) -> Recipe:
     """Kheradmand et al. 2024. Growth ends at five sixths, at 25,000 of 30,000 steps."""
     return Recipe(
@@ -116,4 +126,9 @@ def room_for(dataset: Dataset) -> int:
     return min(round(pixels / math.sqrt(len(dataset.train)) / PIXELS_PER_GAUSSIAN), MOST)
 
 
-RECIPES: dict[str, Callable[..., Recipe]] = {"classic": classic, "mcmc": mcmc, "default": default}
+RECIPES: dict[str, Callable[..., Recipe]] = {
+    "classic": classic,
+    "absgrad": absgrad,
+    "mcmc": mcmc,
+    "default": default,
+}

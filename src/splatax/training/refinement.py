@@ -40,7 +40,7 @@ class Given:
         source: Source,
         gradient: tuple[()],
         progress: Float[Array, ""],
-        steps: int,
+        steps: Float[Array, ""],
     ) -> tuple[()]:
         """The state after a step."""
         return state
@@ -79,7 +79,7 @@ class Poses:
         source: Source,
         gradient: Float[Array, "6"],
         progress: Float[Array, ""],
-        steps: int,
+        steps: Float[Array, ""],
     ) -> Rows:
         """The state after a step of a run that has so many."""
         rate = rate_for(self.reach, steps / len(state.visits), progress)
@@ -122,7 +122,7 @@ class PosesAndFocal:
         source: Source,
         gradient: Learned,
         progress: Float[Array, ""],
-        steps: int,
+        steps: Float[Array, ""],
     ) -> Learned:
         """The state after a step of a run that has so many."""
         lenses = jnp.maximum(jnp.sum(state.focals.visits > 0), 1)  # after the first epoch, all

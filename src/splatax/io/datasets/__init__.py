@@ -4,29 +4,60 @@ from pathlib import Path
 
 from splatax.dataset import Dataset
 from splatax.errors import DatasetError
-from splatax.io.datasets import colmap
+from splatax.io import images
+from splatax.io.datasets import archives, colmap, llff, transforms
+from splatax.io.datasets.photos import counted
 
-DATASETS = (colmap,)  # the first that recognises a folder loads it
+DATASETS = (colmap, transforms, llff)  # the first that recognises a folder loads it
 
 
 def load_dataset(path: str | Path, *, downscale: int | None = None) -> Dataset:
-    """Loads a capture: its cameras, points, and photos on demand. Every 8th photo is held out.
+    """Loads a capture: its cameras, points, and photos on demand. Every 8th photo is held out, unless
+    the capture itself says which.
 
     Args:
-        path: the folder of the capture.
+        path: the folder of the capture, or a zip file of it.
         downscale: divide the size of photos by this. None picks the least that brings the longer
             side to 1600 pixels or fewer.
 
     Raises:
         DatasetError: if it is no capture, or parts of it are missing or damaged.
     """
-    path = Path(path)
+    folder = folder_of(Path(path))
+    for loader in DATASETS:
+        if loader.recognise(folder):
+            return loader.load(folder, downscale=downscale)
+    looked_for = "; ".join(loader.LOOKED_FOR for loader in DATASETS)
+    raise DatasetError(
+        f"{path}: not a capture that splatax knows. It looked for {looked_for}. It found {contents(folder)}."
+    )
+
+
+def is_capture(path: Path) -> bool:
+    """Whether there is a capture, whose cameras are known, or a zip file of which that is hoped."""
+    if path.is_file():
+        return path.suffix.lower() == ".zip"
+    return path.is_dir() and any(loader.recognise(path) for loader in DATASETS)
+
+
+def folder_of(path: Path) -> Path:
+    """The folder of a capture that may be in a zip file.
+
+    Raises:
+        DatasetError: if there is none.
+    """
     if not path.exists():
         raise DatasetError(f"{path}: no such folder. Give the folder that holds the capture.")
-    if not path.is_dir():
-        raise DatasetError(f"{path}: a file, not a folder. Give the folder that holds the capture.")
-    for loader in DATASETS:
-        if loader.recognise(path):
-            return loader.load(path, downscale=downscale)
-    looked_for = "; ".join(loader.LOOKED_FOR for loader in DATASETS)
-    raise DatasetError(f"{path}: not a capture that splatax knows. It looked for {looked_for}.")
+    if path.is_dir():
+        return path
+    if path.suffix.lower() == ".zip":
+        return archives.unpacked(path)
+    raise DatasetError(f"{path}: a file, not a folder or a zip file. Give the folder that holds the capture.")
+
+
+def contents(folder: Path) -> str:
+    """What is in a folder that is no capture, and what to do with that."""
+    if found := sum(images.is_image(photo) for photo in folder.rglob("*")):
+        return f"{counted(found)} without poses: find them with splatax reconstruct"
+    names = sorted(path.name for path in folder.iterdir())
+    return f"{', '.join(names[:5])}{' and more' if len(names) > 5 else ''}" if names else "an empty folder"

@@ -5,21 +5,15 @@
 pycolmap reads the model, and undistorts the photos of cameras that are no pinholes.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
-import jax.numpy as jnp
 import numpy as np
 import pycolmap
-from jaxtyping import Float
 
-from splatax.camera import Camera
-from splatax.dataset import Dataset, Pixels, PointCloud, View, hold_out
+from splatax.dataset import Dataset, PointCloud, hold_out
 from splatax.errors import DatasetError
 from splatax.io import images
-from splatax.io.datasets import masks
+from splatax.io.datasets import masks, photos
 from splatax.io.datasets.colmap_files import check_whole
 from splatax.io.datasets.reprojection import reprojection_errors
 
@@ -29,8 +23,6 @@ LOOKED_FOR = (
 )
 MODEL_ROOTS = ("sparse", "colmap/sparse", "distorted/sparse", ".")
 FILES = ("cameras", "images", "points3D")
-RESIZED_FOLDERS = (2, 4, 8)  # images_2, images_4, images_8: photos that someone has shrunk already
-LARGEST_SIDE = 1600  # pixels, of photos that are loaded without being told a size (as INRIA's)
 
 
 def models_in(path: Path) -> list[Path]:
@@ -64,23 +56,37 @@ def load(path: Path, *, downscale: int | None = None) -> Dataset:
     if not registered:
         raise DatasetError(f"{folder}: the model has no registered photos. Run COLMAP's mapper again.")
 
-    photos, already = photo_folder(path, downscale)
+    folder, already = photos.photo_folder(path, downscale)
     found = masks.masks_of(path, [image.name for image in registered])
-    sources = [source_of(image, model, photos, found.get(image.name)) for image in registered]
-    factor = shrink_factor(sources, already, downscale)
+    sources = [
+        photos.source_of(
+            image.name,
+            photo,
+            model.camera(image.camera_id),
+            image.cam_from_world().matrix(),
+            found.get(image.name),
+        )
+        for image, photo in zip(registered, photos_of(registered, folder), strict=True)
+    ]
+    factor = photos.shrink_factor(sources, already, downscale)
     views = [source.view(factor) for source in sources]
     train, test = hold_out(views)
     points = point_cloud(model)
 
-    present = sum(images.is_image(p) for p in photos.rglob("*"))
-    notes.append(f"{len(views)} of {present} photos registered, {len(test)} held out for testing")
-    notes.append(f"{len(points):,} points; photos {sizes_of(views)} from {photos.name}/{scaling(factor)}")
+    unused = photos.unused(folder, [source.path for source in sources])
+    errors = reprojection_errors(model, registered, {view.name: view.camera for view in views})
+    notes.append(
+        f"{len(views)} of {len(views) + len(unused)} photos registered, {len(test)} held out for testing"
+    )
+    notes.append(
+        f"{len(points):,} points; photos {photos.sizes_of(views)} from {folder.name}/{photos.scaling(factor)}"
+    )
     if found:
         notes.append(f"masks for {len(found)} of {len(views)} photos, from {masks.FOLDER}/")
-    errors = reprojection_errors(model, registered, {view.name: view.camera for view in views})
-    if len(errors):
-        notes.append(f"median reprojection error {np.median(errors):.2f} px ({len(errors):,} observations)")
-    return Dataset(train, test, points, tuple(notes))
+    if errors:
+        every = np.concatenate(list(errors.values()))
+        notes.append(f"median reprojection error {np.median(every):.2f} px ({len(every):,} observations)")
+    return Dataset(train, test, points, tuple(notes), survey=photos.survey(sources, unused, errors))
 
 
 def read_model(folder: Path) -> pycolmap.Reconstruction:
@@ -99,118 +105,6 @@ def read_model(folder: Path) -> pycolmap.Reconstruction:
         ) from error
 
 
-def photo_folder(path: Path, downscale: int | None) -> tuple[Path, int]:
-    """The folder of photos, and by how much those in it are shrunk already."""
-    if downscale in RESIZED_FOLDERS and (path / f"images_{downscale}").is_dir():
-        return path / f"images_{downscale}", downscale
-    for factor in (1, *RESIZED_FOLDERS):
-        folder = path / ("images" if factor == 1 else f"images_{factor}")
-        if folder.is_dir() and (downscale is None or factor <= downscale):
-            return folder, factor
-    raise DatasetError(
-        f"{path}: no folder of photos. Put them in {path / 'images'}, under the names COLMAP saw."
-    )
-
-
-@dataclass(frozen=True)
-class Source:
-    """A registered photo on disk."""
-
-    name: str
-    path: Path
-    mask: Path | None
-    upright: bool  # its EXIF orientation must be applied to match its camera
-    camera: pycolmap.Camera  # of the photo's real size
-    cam_from_world: np.ndarray
-
-    def view(self, factor: float) -> View:
-        """The view at 1 / factor of the photo's size, without distortion."""
-        pinhole, straighten = undistortion(self.camera)
-        camera = camera_of(pinhole, self.cam_from_world)
-        width, height = (max(1, round(side / factor)) for side in (camera.width, camera.height))
-        decode = partial(decode_photo, self.path, self.upright, straighten, width, height)
-        mask = None
-        if self.mask:
-            on_disk = (self.camera.width, self.camera.height)
-            mask = masks.decoder(self.mask, on_disk, straighten, (width, height))
-        return View(self.name, camera.resized(width, height), decode, mask)
-
-
-def camera_of(pinhole: pycolmap.Camera, cam_from_world: Float[np.ndarray, "3 4"]) -> Camera:
-    """Our camera, from COLMAP's intrinsics of a pinhole and a pose."""
-    return Camera(
-        fx=jnp.float32(pinhole.focal_length_x),
-        fy=jnp.float32(pinhole.focal_length_y),
-        cx=jnp.float32(pinhole.principal_point_x),
-        cy=jnp.float32(pinhole.principal_point_y),
-        cam_from_world=jnp.asarray(np.vstack([cam_from_world, [0, 0, 0, 1]]), jnp.float32),
-        width=pinhole.width,
-        height=pinhole.height,
-    )
-
-
-def decode_photo(
-    path: Path, upright: bool, straighten: Callable[[Pixels], Pixels], width: int, height: int
-) -> Pixels:
-    return images.resize(straighten(images.read(path, upright=upright)), width, height)
-
-
-def source_of(
-    image: pycolmap.Image, model: pycolmap.Reconstruction, photos: Path, mask: Path | None
-) -> Source:
-    """Finds the photo of a registered image, and fits its camera to the photo's real size."""
-    path = find_photo(photos, image.name)
-    camera = pycolmap.Camera(model.camera(image.camera_id).todict())
-    for upright in (False, True):
-        width, height = images.size_of(path, upright=upright)
-        # Equal proportions, give or take the rounding of a resize.
-        if abs(width * camera.height / camera.width - height) <= 1.5:
-            camera.rescale(width, height)
-            return Source(image.name, path, mask, upright, camera, image.cam_from_world().matrix())
-    width, height = images.size_of(path)
-    raise DatasetError(
-        f"{path}: {width} x {height} pixels, but its camera is {camera.width} x {camera.height}: other "
-        "proportions, so it is not the photo that COLMAP saw. Put that one back, uncropped."
-    )
-
-
-def find_photo(photos: Path, name: str) -> Path:
-    """The photo of this name, or of the same name with another suffix (as resized copies have)."""
-    if (photos / name).is_file():
-        return photos / name
-    same_stem = sorted(p for p in (photos / name).parent.glob("*") if p.stem == Path(name).stem)
-    if same_stem := [p for p in same_stem if images.is_image(p)]:
-        return same_stem[0]
-    raise DatasetError(
-        f"{photos / name}: the photo is missing, but the COLMAP model has it registered. Put it back, "
-        "or remove it from the model (colmap image_deleter)."
-    )
-
-
-def shrink_factor(sources: list[Source], already: int, downscale: int | None) -> float:
-    """By how much photos are to be shrunk, beyond what those on disk are."""
-    if downscale is not None:
-        return downscale / already
-    longest = max(max(source.camera.width, source.camera.height) for source in sources)
-    return float(-(-longest // LARGEST_SIDE))
-
-
-def undistortion(camera: pycolmap.Camera) -> tuple[pycolmap.Camera, Callable[[Pixels], Pixels]]:
-    """A pinhole for the photos of a camera, and what brings its photos into that form."""
-    # pycolmap calls all that is no fisheye a "perspective pinhole", whatever its distortion.
-    if camera.is_perspective_pinhole() and camera.is_undistorted():
-        return camera, lambda pixels: pixels
-    options = pycolmap.UndistortCameraOptions()
-
-    def straighten(pixels: Pixels) -> Pixels:
-        parts = [pixels[..., :3], *([pixels[..., 3]] if pixels.shape[2] == 4 else [])]
-        bitmaps = [pycolmap.Bitmap.from_array(np.ascontiguousarray(part)) for part in parts]
-        straight = [pycolmap.undistort_image(options, bitmap, camera)[0].to_array() for bitmap in bitmaps]
-        return np.dstack(straight)
-
-    return pycolmap.undistort_camera(options, camera), straighten
-
-
 def point_cloud(model: pycolmap.Reconstruction) -> PointCloud:
     """The model's points."""
     points = list(model.points3D.values())
@@ -219,12 +113,26 @@ def point_cloud(model: pycolmap.Reconstruction) -> PointCloud:
     return PointCloud(positions, colors)
 
 
-def sizes_of(views: list[View]) -> str:
-    """ "504 x 378", or the range of sizes."""
-    sizes = sorted({(view.camera.width, view.camera.height) for view in views})
-    names = [f"{width} x {height}" for width, height in sizes]
-    return names[0] if len(names) == 1 else f"{names[0]} to {names[-1]}"
+def photos_of(registered: list[pycolmap.Image], folder: Path) -> list[Path]:
+    """The photo of each registered image.
+
+    Raises:
+        DatasetError: if some are missing.
+    """
+    found = {image.name: find_photo(folder, image.name) for image in registered}
+    if missing := [name for name, path in found.items() if path is None]:
+        which = "the photo is missing" if len(missing) == 1 else f"{len(missing)} photos are missing"
+        also = f" ({photos.listed(missing)})" if len(missing) > 1 else ""
+        raise DatasetError(
+            f"{folder / missing[0]}: {which}{also}, but the COLMAP model has it registered. Put it back, or "
+            "remove it from the model (colmap image_deleter)."
+        )
+    return [path for path in found.values() if path is not None]
 
 
-def scaling(factor: float) -> str:
-    return "" if factor == 1 else f", shrunk {factor:g} times"
+def find_photo(folder: Path, name: str) -> Path | None:
+    """The photo of this name, or of the same name with another suffix (as resized copies have)."""
+    if (folder / name).is_file():
+        return folder / name
+    same_stem = sorted(p for p in (folder / name).parent.glob("*") if p.stem == Path(name).stem)
+    return next((p for p in same_stem if images.is_image(p)), None)

@@ -15,7 +15,7 @@ SAMPLES = 512  # observations of each: one shape for all views compiles once
 
 def reprojection_errors(
     model: pycolmap.Reconstruction, registered: list[pycolmap.Image], cameras: dict[str, Camera]
-) -> Float[np.ndarray, " m"]:
+) -> dict[str, Float[np.ndarray, " _"]]:
     """Distances in pixels of the loaded views between where points were seen and where they project.
 
     Args:
@@ -24,9 +24,9 @@ def reprojection_errors(
         cameras: the pinhole of each, by name.
 
     Returns:
-        The errors of a sample of observations; none if the model keeps no observations.
+        By name, the errors of a sample of observations, for a sample of images that have any.
     """
-    errors = []
+    errors = {}
     for image in registered[:: -(-len(registered) // MAX_VIEWS)]:
         observed = [p for p in image.get_observation_points2D() if model.exists_point3D(p.point3D_id)]
         if not observed:
@@ -42,8 +42,8 @@ def reprojection_errors(
             float(camera.cy),
         ]
         drawn = _to_pixels(replace(camera, width=1, height=1), points)
-        errors.append(np.linalg.norm(np.asarray(drawn) - seen, axis=1)[:count])
-    return np.concatenate(errors) if errors else np.zeros(0)
+        errors[image.name] = np.linalg.norm(np.asarray(drawn) - seen, axis=1)[:count]
+    return errors
 
 
 @jax.jit

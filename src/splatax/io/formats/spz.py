@@ -89,8 +89,23 @@ def comments(path: Path) -> tuple[str, ...]:
     return (MIP,) if _header(path, path.read_bytes()).flags & ANTIALIASED else ()
 
 
-def save(path: Path, gaussians: Gaussians, *, comments: tuple[str, ...] = (), version: int = 3) -> None:
+def save(
+    path: Path,
+    gaussians: Gaussians,
+    *,
+    comments: tuple[str, ...] = (),
+    version: int = 3,
+    buckets: tuple[int, int] = BUCKETS,
+) -> None:
     """Writes version 3, which most software reads, or 4.
+
+    Args:
+        path: of the file.
+        gaussians: the scene.
+        comments: see `formats.save`.
+        version: 3 or 4.
+        buckets: levels of 8-bit SH that one stands for, of degree 1 and above; fewer are finer and
+            larger.
 
     Raises:
         FormatError: if the scene is too large for its numbers.
@@ -98,7 +113,7 @@ def save(path: Path, gaussians: Gaussians, *, comments: tuple[str, ...] = (), ve
     gaussians = half_turn(gaussians, axis=0)
     bits = _fractional_bits(path, gaussians)
     flags = ANTIALIASED if MIP in comments else 0
-    streams = [stream.tobytes() for stream in _encode(path, gaussians, bits)]
+    streams = [stream.tobytes() for stream in _encode(path, gaussians, bits, buckets)]
     fields = (MAGIC, version, len(gaussians), gaussians.sh_degree, bits, flags)
     if version == 3:
         packed = gzip.compress(HEADER.pack(*fields, 0) + b"".join(streams), 9, mtime=0)
@@ -195,7 +210,9 @@ def _decode(header: Header, positions, alphas, colors, scales, rotations, sh) ->
     )
 
 
-def _encode(path: Path, gaussians: Gaussians, fractional_bits: int) -> list[np.ndarray]:
+def _encode(
+    path: Path, gaussians: Gaussians, fractional_bits: int, buckets: tuple[int, int]
+) -> list[np.ndarray]:
     """Positions, alphas, colours, scales, rotations and SH, as in the file."""
     fixed = np.rint(np.ldexp(np.asarray(gaussians.means, np.float64), fractional_bits)).astype("<i4")
     largest, others = packing.smallest_three(packing.unit(np.asarray(gaussians.quats))[:, XYZW])
@@ -204,7 +221,7 @@ def _encode(path: Path, gaussians: Gaussians, fractional_bits: int) -> list[np.n
     rotations = packing.pack(np.concatenate([largest[:, None], signed], axis=1), 2, *[1, 9] * 3)
     colors = np.asarray(gaussians.sh[:, 0]) * np.float32(COLOR_SCALE) + np.float32(0.5)
     rest = np.rint(np.asarray(gaussians.sh[:, 1:]) * 128).astype(np.int64) + 128
-    bucket = np.where(np.arange(rest.shape[1]) < 3, *BUCKETS)[:, None]
+    bucket = np.where(np.arange(rest.shape[1]) < 3, *buckets)[:, None]
     log_scales = np.asarray(gaussians.log_scales)
     if clipped := int(np.sum(log_scales.max(axis=1, initial=-np.inf) > 255 / 16 - 10)):
         warnings.warn(

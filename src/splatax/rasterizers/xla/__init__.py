@@ -81,13 +81,18 @@ def backward(residuals: Residuals, cotangents) -> tuple[Splats, Float[Array, "n 
     def next_round(cursor: Cursor) -> Round:
         return lax.cond(at_start(cursor), lambda: first, lambda: bin_round(cursor, boxes, grid))
 
+    watched = splats.pull is not None
+    blend_gradient = partial(blending.blend_gradient, watched=watched)
+
     def add_gradients(_, round: Round, carry):
-        return visit(round.lists, table, grid, blending.blend_gradient, *carry)
+        return visit(round.lists, table, grid, blend_gradient, *carry)
 
     state = (inside(grid, table.dtype), behind, to_tiles(d_sums, grid))
-    _, gradients = for_each_round(next_round, add_gradients, (state, jnp.zeros_like(table)), boxes, grid)
+    nothing = jnp.zeros((table.shape[0], table.shape[1] + 2 * watched), table.dtype)
+    _, gradients = for_each_round(next_round, add_gradients, (state, nothing), boxes, grid)
     gradients = jnp.zeros_like(gradients[:-1]).at[boxes.order].set(gradients[:-1], unique_indices=True)
-    return gradients_of(splats, gradients[:, : blending.SHAPE]), gradients[:, blending.SHAPE : -1]
+    moments, d_channels, pull = jnp.split(gradients, [blending.SHAPE, table.shape[1]], axis=1)
+    return gradients_of(splats, moments, pull if watched else None), d_channels[:, :-1]
 
 
 composite.defvjp(forward, backward)
@@ -136,7 +141,7 @@ def for_each_round(
     return lax.while_loop(lambda walk: walk[0].slab < slabs, step, (Cursor.start(), carry))[1]
 
 
-def gradients_of(splats: Splats, moments: Float[Array, "n 6"]) -> Splats:
+def gradients_of(splats: Splats, moments: Float[Array, "n 6"], pull: Float[Array, "n 2"] | None) -> Splats:
     """From moments of g = alpha dL/d alpha about each mean to gradients of its splat.
 
     With alpha = o exp(-(s^2 + t^2) / 2), s = u dx + v dy, t = w dy and d = pixel - mean:
@@ -155,4 +160,5 @@ def gradients_of(splats: Splats, moments: Float[Array, "n 6"]) -> Splats:
         extents=jnp.zeros_like(splats.extents),
         colors=jnp.zeros_like(splats.colors),
         opacities=jnp.where(opacities > 0, g / jnp.where(opacities > 0, opacities, 1), 0),
+        pull=pull,
     )

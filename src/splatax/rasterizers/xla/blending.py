@@ -51,14 +51,17 @@ def blend_gradient(
     state: tuple[Float[Array, "b p"], Float[Array, "b p"], Float[Array, "b c p"]],
     gradients: Float[Array, "rows t"],
     chunk: Chunk,
+    watched: bool,
 ) -> tuple[tuple[Float[Array, "b p"], Float[Array, "b p"], Float[Array, "b c p"]], Float[Array, "rows t"]]:
     """Adds what a chunk contributes to the gradients of its splats.
 
     Args:
         state: transmittance, the value that lies behind, dL/d sums.
         gradients: for each row, the moments sum g, sum g dx, sum g dy, sum g dx^2, sum g dx dy,
-            sum g dy^2 over pixels, where g = alpha dL/d alpha; then dL/d channels.
+            sum g dy^2 over pixels, where g = alpha dL/d alpha; then dL/d channels; then, if
+            watched, sum |dL/dx|, sum |dL/dy|.
         chunk: the splats.
+        watched: whether the gradient of `Splats.pull` is asked for.
     """
     transmittance, behind, d_sums = state
     raw = lax.optimization_barrier(raw_alphas(chunk))
@@ -76,8 +79,20 @@ def blend_gradient(
 
     d_channels = jnp.einsum("bkp,bcp->bkc", weights, d_sums, precision="highest")
     moments = jnp.einsum("bkp,pm->bkm", g, jnp.asarray(MOMENTS, g.dtype), precision="highest")
-    rows = jnp.concatenate([about_mean(moments, means_in_tile(chunk)), d_channels], axis=-1)
+    columns = [about_mean(moments, means_in_tile(chunk)), d_channels]
+    if watched:
+        columns.append(pull_of(g, chunk))
+    rows = jnp.concatenate(columns, axis=-1)
     return (transmittance, behind - total, d_sums), gradients.at[chunk.ranks].add(rows)
+
+
+def pull_of(g: Float[Array, "b k p"], chunk: Chunk) -> Float[Array, "b k 2"]:
+    """Sums over pixels of |dL/d mean|, where dL/d mean is g (t (u, v) + s (0, w))."""
+    u, v, w = (chunk.rows[:, :, i, None] for i in range(2, 5))
+    t, s = along_axes(chunk)
+    return jnp.stack(
+        [jnp.sum(jnp.abs(g * u * t), axis=-1), jnp.sum(jnp.abs(g * (v * t + w * s)), axis=-1)], axis=-1
+    )
 
 
 def means_in_tile(chunk: Chunk) -> Float[Array, "b k 2"]:
@@ -97,11 +112,17 @@ def about_mean(moments: Float[Array, "b k 6"], means: Float[Array, "b k 2"]) -> 
 
 def raw_alphas(chunk: Chunk) -> Float[Array, "b k p"]:
     """opacity G at the pixels of a tile, before it is clamped."""
-    u, v, w, opacity = (chunk.rows[:, :, i, None] for i in range(2, SHAPE))
+    t, s = along_axes(chunk)
+    return chunk.rows[:, :, 5, None] * jnp.exp(-0.5 * (jnp.square(t) + jnp.square(s)))
+
+
+def along_axes(chunk: Chunk) -> tuple[Float[Array, "b k p"], Float[Array, "b k p"]]:
+    """t = u dx + v dy and s = w dy at the pixels of a tile."""
+    u, v, w = (chunk.rows[:, :, i, None] for i in range(2, 5))
     x, y = jnp.moveaxis(means_in_tile(chunk), -1, 0)
     dx = jnp.asarray(X, x.dtype)[None, None] - x[..., None]
     dy = jnp.asarray(Y, y.dtype)[None, None] - y[..., None]
-    return opacity * jnp.exp(-0.5 * (jnp.square(u * dx + v * dy) + jnp.square(w * dy)))
+    return u * dx + v * dy, w * dy
 
 
 def clamp(raw: Float[Array, "b k p"]) -> Float[Array, "b k p"]:

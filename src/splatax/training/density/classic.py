@@ -1,7 +1,8 @@
 """Clone small, split large, prune faint and oversized, reset opacity (Kerbl et al. 2023, Sec. 5.2).
 
 A Gaussian whose mean the loss keeps pulling at on the image stands where detail is missing: there
-is too little of it (clone) or too much of one (split).
+is too little of it (clone) or too much of one (split). Where pixels pull in opposite directions, the
+sum of their gradients hides it; the sum of absolute values does not (AbsGS, Ye et al. 2024).
 """
 
 import math
@@ -24,7 +25,7 @@ from splatax.training.density.protocol import Lineage, Refinement
 class Observed(NamedTuple):
     """Sums over the views since the last refinement."""
 
-    pull: Float[Array, " n"]  # of |dL/d means2d|, with the image running from -1 to 1
+    pull: Float[Array, " n"]  # lengths of dL/d means2d, with the image running from -1 to 1
     views: Float[Array, " n"]  # in which it was visible
     screen: Float[Array, " n"]  # largest extent seen, as a share of the image's longer side
 
@@ -37,6 +38,7 @@ class Classic:
     start: int = 500  # step before which there is none
     until: int = 15_000  # step from which on there is none
     pull_threshold: float = 2e-4  # mean over views of |dL/d means2d|, image from -1 to 1
+    absolute: bool = False  # whether dL/d means2d is summed over pixels by absolute values, per axis
     dense_size: float = 0.01  # of the scene's extent: larger is split, smaller cloned
     shrink: float = 1.6  # factor by which the children of a split are smaller
     min_opacity: float = 0.005  # fainter is pruned
@@ -50,10 +52,14 @@ class Classic:
     def init(self, capacity: int) -> Observed:
         return Observed(*(jnp.zeros(capacity) for _ in Observed._fields))
 
+    def watch(self, splats: Splats) -> Splats:
+        return replace(splats, pull=jnp.zeros_like(splats.means2d)) if self.absolute else splats
+
     def observe(self, state: Observed, splats: Splats, d_splats: Splats) -> Observed:
         visible = jnp.any(splats.extents > 0, axis=1)
         half = jnp.array([splats.width / 2, splats.height / 2], splats.means2d.dtype)
-        pull = jnp.linalg.norm(d_splats.means2d * half[None, :], axis=1)
+        gradient = d_splats.means2d if d_splats.pull is None else d_splats.pull
+        pull = jnp.linalg.norm(gradient * half[None, :], axis=1)
         screen = jnp.max(splats.extents, axis=1) / max(splats.width, splats.height)
         return Observed(
             state.pull + jnp.where(visible, pull, 0),
@@ -71,7 +77,7 @@ class Classic:
         if self._densifies(step):
             parents, children = self._plan(state, gaussians, count, step, extent)
             count = len(parents)
-            capacity = bucket_for(count, len(gaussians))
+            capacity = bucket_for(count, len(gaussians), self.max_gaussians)
             padding = (0, capacity - count)
             lineage = Lineage(
                 jnp.asarray(np.pad(parents, padding)),

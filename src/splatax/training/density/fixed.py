@@ -17,6 +17,9 @@ class Fixed:
     def init(self, capacity: int) -> tuple[()]:
         return ()
 
+    def watch(self, splats: Splats) -> Splats:
+        return splats
+
     def observe(self, state: Any, splats: Splats, d_splats: Splats) -> Any:
         return state
 

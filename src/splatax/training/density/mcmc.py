@@ -58,6 +58,9 @@ class Mcmc:
     def init(self, capacity: int) -> tuple[()]:
         return ()
 
+    def watch(self, splats: Splats) -> Splats:
+        return splats
+
     def observe(self, state: tuple[()], splats: Splats, d_splats: Splats) -> tuple[()]:
         return state
 
@@ -76,7 +79,7 @@ class Mcmc:
         seekers = np.concatenate([np.flatnonzero(dead), np.arange(count, grown)])
         sources = in_proportion(np.where(dead, 0, opacities), len(seekers), key)
 
-        parent = np.arange(bucket_for(grown, len(gaussians)))
+        parent = np.arange(bucket_for(grown, len(gaussians), self.max_gaussians))
         parent[seekers] = sources
         parent[grown:] = 0
         shares = np.minimum(1 + np.bincount(sources, minlength=count), MOST_COPIES)

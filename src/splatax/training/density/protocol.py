@@ -44,6 +44,10 @@ class DensityStrategy(Protocol):
         """The state before any step, for so many rows."""
         ...
 
+    def watch(self, splats: Splats) -> Splats:
+        """The splats of a view, with `pull` if `observe` wants its gradient."""
+        ...
+
     def observe(self, state: Any, splats: Splats, d_splats: Splats) -> Any:
         """Takes note of one view: its splats and the gradient of the loss in them. Runs under `jit`."""
         ...

@@ -1,0 +1,153 @@
+"""As much training as fits into a given time: the number of steps and of Gaussians, from measured speed.
+
+Before the run, the cost of a step on this machine is measured on procedural scenes, which have the
+statistics of trained ones. While it goes on, the number of steps is corrected by the clock. What came
+of it is kept as `Changes`, and repeats without a clock.
+"""
+
+import re
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from splatax.bench.operations import step as operation
+from splatax.bench.scenes import procedural
+from splatax.bench.timing import timed
+from splatax.training.recipes import Recipe
+
+PROBES = (20_000, 80_000)  # Gaussians; steps are linear in them
+ROUNDS = 5
+GAUSSIANS_PER_STEP = 60  # of a run; see docs/results.md
+HEAVIER = 1.45  # a step of a capture than one of a procedural scene: 1.6 measured on fern, 1.4 on fox
+COMPILING = 0.7  # seconds for each size of the arrays that a scene grows through
+FEWEST_STEPS = 200
+GROWING = 3  # a third of a run's steps, in the default recipe
+UNITS = {"s": 1.0, "sec": 1.0, "min": 60.0, "m": 60.0, "h": 3600.0}
+
+
+def parse_seconds(text: str) -> float:
+    """Seconds from "90s", "5min" or "1.5h".
+
+    Raises:
+        ValueError: if it is something else, or not positive.
+    """
+    match = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*([a-z]*)\s*", text.lower())
+    if not match or match[2] not in UNITS or not float(match[1]):
+        raise ValueError(f"a time such as 90s, 5min or 1.5h, not {text!r}")
+    return float(match[1]) * UNITS[match[2]]
+
+
+@dataclass(frozen=True)
+class Costs:
+    """Seconds that a step takes: so many, and so many for each Gaussian."""
+
+    base: float
+    each: float
+
+    def step(self, count: int | float) -> float:
+        return self.base + self.each * count
+
+    def run(self, steps: int, first: int, most: int) -> float:
+        """Seconds for a run that grows by equal factors to `most` in its first third."""
+        growing = (most - first) / np.log(most / first) if most > first else most
+        buckets = np.log(max(most / first, 1)) / np.log(1.5) + 1
+        average = (self.step(growing) + (GROWING - 1) * self.step(most)) / GROWING
+        return float(steps * average + COMPILING * buckets)
+
+
+def measured(size: tuple[int, int], recipe: Recipe) -> Costs:
+    """Times steps of two procedural scenes, a few seconds in all.
+
+    Args:
+        size: of the photos, width and height in pixels.
+        recipe: with the backend that is to run.
+    """
+    seconds = []
+    for count in PROBES:
+        work = operation(procedural(count, size), recipe)
+        timed(work)  # compiles
+        seconds.append(min(timed(work) for _ in range(ROUNDS)) / 1e3)
+    each = max((seconds[1] - seconds[0]) / (PROBES[1] - PROBES[0]), 0.0)
+    return Costs(HEAVIER * max(seconds[0] - each * PROBES[0], 1e-4), HEAVIER * each)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What fits."""
+
+    steps: int
+    max_gaussians: int
+
+
+def plan(costs: Costs, seconds: int | float, first: int, room: int, most: int | None = None) -> Plan:
+    """The number of steps for the time, with as many Gaussians as they can teach, or as are given.
+
+    Args:
+        costs: of a step.
+        seconds: for the whole run.
+        first: Gaussians at the start.
+        room: how many there may be.
+        most: how many there shall be, if that is given.
+    """
+
+    def gaussians(steps: int) -> int:
+        return most or int(np.clip(GAUSSIANS_PER_STEP * steps, min(first, room), room))
+
+    low, high = FEWEST_STEPS, 10_000_000
+    while low < high:  # the most steps that fit
+        middle = (low + high + 1) // 2
+        if costs.run(middle, min(first, gaussians(middle)), gaussians(middle)) <= seconds:
+            low = middle
+        else:
+            high = middle - 1
+    return Plan(low, gaussians(low))
+
+
+@dataclass
+class Changes:
+    """New totals of steps, each from a step on: the pace of a run, as it is given to `optimize`.
+
+    Attributes:
+        made: (step after which, new total), in order.
+    """
+
+    made: list[tuple[int, int]] = field(default_factory=list)
+
+    def __call__(self, step: int) -> int | None:
+        """The total that holds from this step on, if it changes there."""
+        return dict(self.made).get(step)
+
+    def due(self, step: int, total: int) -> bool:
+        """Whether the clock is wanted after a step."""
+        return False
+
+    def note(self, step: int, total: int, seconds: float) -> None:
+        """Takes note of the time."""
+
+
+@dataclass
+class Clock(Changes):
+    """Makes changes so that a run ends in time.
+
+    Attributes:
+        seconds: for the whole run.
+    """
+
+    seconds: float = 0.0
+    checked: tuple[int, float] = (0, 0.0)  # the step and the time of the last look
+
+    def due(self, step: int, total: int) -> bool:
+        """Every 5 percent, once the first programs are compiled."""
+        return total / 5 <= step < total and step % max(round(total / 20), 1) == 0
+
+    def note(self, step: int, total: int, seconds: float) -> None:
+        """Plans the rest of the run by the speed since the last look.
+
+        While the scene grows, steps get slower, so until then a run is only shortened, if it would be
+        late even as fast as now.
+        """
+        (before, then), self.checked = self.checked, (step, seconds)
+        a_step = (seconds - then) / (step - before)
+        planned = step + max(round((self.seconds - seconds) / a_step), 1)
+        if planned < total or (planned > total and step > total / GROWING and before > total / GROWING):
+            self.made.append((step, planned))

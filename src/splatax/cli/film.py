@@ -1,0 +1,123 @@
+"""Films of a scene: the camera paths and the frames of `splatax render --path`."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+import splatax as sx
+from splatax import paths
+from splatax.cli.options import Model
+from splatax.errors import InputError
+from splatax.io import video
+from splatax.metrics import to_8bit
+from splatax.paths.shapes import focus_of
+from splatax.report.pictures import depth_range, shaded
+
+SAMPLES = 8  # frames that tell the limits of depth, so that its colours mean the same in all
+SHAPES = ("orbit", "spiral", "interpolate")
+DEFAULT_SIZE = (960, 540)  # where no capture tells another
+
+
+@dataclass(frozen=True)
+class Film:
+    """What to fly along, and how to show it.
+
+    Attributes:
+        path: one of SHAPES, or a file of keyframes.
+        size: width and height of colour, pixels; None for that of the capture's photos.
+        fps: frames a second.
+        seconds: how long.
+        depth: show it in colour to the right.
+        background: RGB.
+        backend: rasterizer.
+    """
+
+    path: str | Path
+    size: tuple[int, int] | None
+    fps: int
+    seconds: float
+    depth: bool
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    backend: str = "auto"
+
+    def cameras(self, model: Model, dataset: sx.Dataset | None) -> list[sx.Camera]:
+        """One for each frame.
+
+        Raises:
+            InputError: if there is no such path through this capture.
+        """
+        means = np.asarray(model.gaussians.means)
+        size, frames = self.size or default_size(dataset), max(round(self.fps * self.seconds), 1)
+        if isinstance(self.path, Path):
+            return paths.read(self.path, frames, size)
+        if dataset is None:
+            if self.path != "orbit":
+                raise InputError(f"--path {self.path}: needs the cameras of a capture. Name its folder.")
+            return paths.orbit([paths.overview(means, size)], frames, size, np.median(means, axis=0))
+        cameras = [view.camera for view in dataset.views]
+        if self.path == "orbit":
+            return paths.orbit(cameras, frames, size, focus_of(cameras))
+        if self.path == "spiral":
+            points = dataset.points.positions if len(dataset.points) else means
+            return paths.spiral(cameras, frames, size, points)
+        return paths.tour(cameras, frames, size)
+
+    def write(self, out: Path, model: Model, cameras: list[sx.Camera]) -> None:
+        """Draws all frames into a file or folder, with a progress bar."""
+        width, height = cameras[0].width, cameras[0].height
+        limits = self._limits(model, cameras) if self.depth else None
+        columns = (BarColumn(bar_width=None), MofNCompleteColumn(), TextColumn("ETA"), TimeRemainingColumn())
+        with (
+            video.writing(out, (width * (1 + self.depth), height), self.fps) as add,
+            Progress(TextColumn("{task.description}"), *columns, expand=True) as bar,
+        ):
+            for camera in bar.track(cameras, description="rendering"):
+                drawn = self._draw(model, camera)
+                picture = to_8bit(np.asarray(drawn.rgb))
+                if self.depth:
+                    depth = shaded(np.asarray(drawn.depth), np.asarray(drawn.alpha), limits)
+                    picture = np.concatenate([picture, depth], axis=1)
+                add(picture)
+
+    def _draw(self, model: Model, camera: sx.Camera) -> sx.Rendering:
+        return sx.render(
+            model.gaussians,
+            camera,
+            background=np.array(self.background, np.float32),
+            low_pass=model.low_pass,
+            backend=self.backend,
+        )
+
+    def _limits(self, model: Model, cameras: list[sx.Camera]) -> tuple[float, float] | None:
+        width, height = (max(side // 4, 1) for side in (cameras[0].width, cameras[0].height))
+        chosen = np.unique(np.round(np.linspace(0, len(cameras) - 1, SAMPLES)).astype(int))
+        drawn = [self._draw(model, cameras[i].resized(width, height)) for i in chosen]
+        return depth_range(
+            np.stack([np.asarray(frame.depth) for frame in drawn]),
+            np.stack([np.asarray(frame.alpha) for frame in drawn]),
+        )
+
+
+def default_size(dataset: sx.Dataset | None) -> tuple[int, int]:
+    """That of the first photo, less a row or column where a number is odd."""
+    if dataset is None:
+        return DEFAULT_SIZE
+    camera = dataset.views[0].camera
+    return max(camera.width // 2 * 2, 2), max(camera.height // 2 * 2, 2)
+
+
+def parse_size(size: str | None) -> tuple[int, int] | None:
+    """Width and height from "960x540".
+
+    Raises:
+        InputError: if it is something else.
+    """
+    if size is None:
+        return None
+    match = re.fullmatch(r"([1-9]\d*)x([1-9]\d*)", size)
+    if not match:
+        raise InputError(f"--size: WIDTHxHEIGHT in pixels such as 960x540, not {size!r}.")
+    return int(match[1]), int(match[2])

@@ -1,0 +1,60 @@
+"""`splatax page`: a scene as one HTML file that opens with a double click."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from splatax import web
+from splatax.cli.options import BackgroundName, LowPassName, load_scene, read_model
+from splatax.errors import InputError
+from splatax.training.backgrounds import BACKGROUNDS
+
+
+@dataclass(frozen=True)
+class Page:
+    """Write a page that shows a scene in any browser.
+
+    One HTML file, which needs no server and no network: double-click it, mail it, or put it on a web
+    site.
+    """
+
+    model: tyro.conf.Positional[Path]
+    """A splat file, or the folder of a run."""
+    out: tyro.conf.Positional[Path]
+    """The page to write, .html."""
+    scene: Path | None = None
+    """Folder of the capture: its cameras become places to look from. Without it, one looks from outside."""
+    title: str | None = None
+    """Of the page. Without it: the name of the model's folder or file."""
+    background: BackgroundName | None = None
+    """Behind the scene. Without it: as trained, else black."""
+    low_pass: LowPassName | None = None
+    """Without it: as the file says."""
+    overwrite: bool = False
+    """Replace the file if there is one."""
+
+    def run(self) -> None:
+        if self.out.suffix.lower() not in (".html", ".htm"):
+            raise InputError(f"{self.out}: browsers open .html files. Give the page such a name.")
+        if self.out.exists() and not self.overwrite:
+            raise InputError(f"{self.out}: exists. Choose another name, or replace it: --overwrite.")
+        model = read_model(self.model, self.low_pass)
+        views = load_scene(self.scene, None, model).views if self.scene else ()
+        background = BACKGROUNDS[self.background or model.options.get("background") or "black"].rgb
+        self.out.parent.mkdir(parents=True, exist_ok=True)
+        web.save(
+            self.out,
+            model.gaussians,
+            title=self.title or _name(model.path),
+            cameras={view.name: view.camera for view in views},
+            background=background,
+            low_pass=model.low_pass,
+        )
+        size = self.out.stat().st_size / 1e6
+        print(f"{self.out}: {len(model.gaussians):,} Gaussians, {len(views)} cameras, {size:.1f} MB")
+
+
+def _name(path: Path) -> str:
+    path = path.resolve()
+    return path.parent.name if path.name == "scene.ply" else path.name.split(".")[0]

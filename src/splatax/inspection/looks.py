@@ -1,0 +1,100 @@
+"""How photos look: exposure and sharpness, from small versions of them."""
+
+import time
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from PIL import Image
+
+LONGEST_SIDE = 1000  # pixels, at which sharpness is judged: what is sharp at this size is sharp enough
+WORKERS = 4
+LUMINANCE = (0.2126, 0.7152, 0.0722)  # of encoded RGB (Rec. 709)
+CLIPPED = 250  # of 255
+MAD_TO_SIGMA = 1.4826  # of a normal distribution
+
+
+@dataclass(frozen=True)
+class Look:
+    """One photo.
+
+    Attributes:
+        luminance: mean, in [0, 1].
+        clipped: share of pixels that are white.
+        sharpness: variance of the Laplacian of luminance in [0, 255].
+        unreadable: why it could not be decoded; empty if it could.
+    """
+
+    luminance: float = 0.0
+    clipped: float = 0.0
+    sharpness: float = 0.0
+    unreadable: str = ""
+
+
+def looks_of(paths: dict[str, Path], seconds: float) -> dict[str, Look]:
+    """Looks at photos, spread over all, until the time is up.
+
+    Args:
+        paths: by name.
+        seconds: that may be spent.
+    """
+    deadline = time.monotonic() + seconds
+
+    def look_in_time(name: str) -> Look | None:
+        return look(paths[name]) if time.monotonic() < deadline else None
+
+    names = list(spread(sorted(paths)))
+    with ThreadPoolExecutor(WORKERS) as pool:
+        found = zip(names, pool.map(look_in_time, names), strict=True)
+        return {name: seen for name, seen in sorted(found) if seen is not None}
+
+
+def spread(names: list[str]) -> Iterable[str]:
+    """All, in an order in which any beginning is spread evenly: every 16th, then those between."""
+    for step_and_start in ((16, 0), (16, 8), (8, 4), (4, 2), (2, 1)):
+        step, start = step_and_start
+        yield from names[start::step]
+
+
+def look(path: Path) -> Look:
+    """One photo; a JPEG is decoded at no more than the size that is needed."""
+    try:
+        with Image.open(path) as photo:
+            photo.draft("RGB", (LONGEST_SIDE, LONGEST_SIDE))
+            image = photo.convert("RGBA" if photo.has_transparency_data else "RGB")
+            image.thumbnail((LONGEST_SIDE, LONGEST_SIDE), Image.Resampling.BOX)
+            pixels = np.asarray(image, np.float32)
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        return Look(unreadable=str(error) or type(error).__name__)
+    luminance = pixels[..., :3] @ np.array(LUMINANCE, np.float32)
+    opaque = pixels[..., 3] > 0 if pixels.shape[2] == 4 else np.ones(luminance.shape, bool)
+    if not opaque.any() or min(luminance.shape) < 3:
+        return Look()
+    white = (pixels[..., :3].min(axis=2) >= CLIPPED) & opaque
+    return Look(
+        float(luminance[opaque].mean()) / 255,
+        float(white.sum() / opaque.sum()),
+        sharpness(luminance),
+    )
+
+
+def sharpness(luminance: Float[np.ndarray, "h w"]) -> float:
+    """Variance of the Laplacian (Pech-Pacheco et al. 2000)."""
+    g = luminance
+    laplacian = 4 * g[1:-1, 1:-1] - g[:-2, 1:-1] - g[2:, 1:-1] - g[1:-1, :-2] - g[1:-1, 2:]
+    return float(laplacian.var())
+
+
+def robust_scores(values: Float[np.ndarray, " n"], floor: float) -> Float[np.ndarray, " n"]:
+    """Distances from the median in standard deviations, as the median deviation tells them.
+
+    Args:
+        values: of any unit.
+        floor: the least standard deviation, so that equal photos have no outliers.
+    """
+    middle = np.median(values)
+    sigma = max(MAD_TO_SIGMA * float(np.median(np.abs(values - middle))), floor)
+    return (values - middle) / sigma

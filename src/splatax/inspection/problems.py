@@ -1,0 +1,215 @@
+"""What is wrong with a capture, and what to do about each."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from splatax.inspection.examination import Examination
+from splatax.inspection.looks import robust_scores
+from splatax.io.datasets.photos import counted, listed
+
+FEW_VIEWS = 20
+OUTLIER = 3.5  # robust standard deviations (Iglewicz and Hoaglin 1993)
+LEAST_EXPOSURE, LEAST_SHARPNESS = 0.15, 0.25  # standard deviations of log2 luminance and of log sharpness
+DARK, MUCH_WHITE = 0.08, 0.2  # mean luminance; share of white pixels
+HIGH_ERROR = 1.5  # pixels, median
+TWICE = 2.0  # the median of all views: where a view is called badly placed
+MOSTLY_HIDDEN = 0.2  # share of pixels that count
+FEW_POINTS = 500
+LEVEL_SPAN = 0.02  # extents: cameras that stand in one place
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Something to be repaired.
+
+    Attributes:
+        severity: "error" stops training, or will spoil the scene; a "warning" makes it worse.
+        what: is wrong.
+        fix: what to do.
+    """
+
+    severity: Literal["error", "warning"]
+    what: str
+    fix: str
+
+
+def problems_of(found: Examination) -> list[Problem]:
+    """All problems, the worst first."""
+    checks = (poses, registration, placement, errors, exposure, blur, masks, points, memory)
+    problems = [problem for check in checks for problem in check(found)]
+    return sorted(problems, key=lambda problem: problem.severity != "error")
+
+
+def poses(found: Examination) -> list[Problem]:
+    if found.dataset is not None:
+        return []
+    fix = f"splatax reconstruct {found.path} --out SCENE"
+    return [Problem("error", "The photos have no poses, so nothing can be trained on them yet.", fix)]
+
+
+def registration(found: Examination) -> list[Problem]:
+    if found.dataset is None:
+        return []
+    problems = []
+    if unused := found.dataset.survey.unused:
+        problems.append(
+            Problem(
+                "warning",
+                f"{len(unused)} of {len(unused) + len(found.views)} photos have no pose: {listed(unused)}.",
+                "Take them again with more overlap, or leave them out; the scene is not seen from there.",
+            )
+        )
+    if len(found.views) < FEW_VIEWS:
+        problems.append(
+            Problem(
+                "warning",
+                f"Only {counted(len(found.views))}.",
+                "Take 50 to 200, around the subject at two or three heights.",
+            )
+        )
+    return problems
+
+
+def placement(found: Examination) -> list[Problem]:
+    if found.dataset is None or len(found.views) < 2:
+        return []
+    positions = np.stack([np.asarray(view.camera.position, np.float64) for view in found.views])
+    span = float(np.linalg.norm(positions - positions.mean(0), axis=1).max())
+    cloud = found.dataset.points.positions
+    distance = float(np.median(np.linalg.norm(cloud - positions.mean(0), axis=1))) if len(cloud) else 0.0
+    if span > LEVEL_SPAN * distance:
+        return []
+    return [
+        Problem(
+            "error",
+            "All photos are from one place, so they tell nothing about depth.",
+            "Walk sideways or around the subject instead of turning on the spot.",
+        )
+    ]
+
+
+def errors(found: Examination) -> list[Problem]:
+    if not found.errors:
+        return []
+    middle = float(np.median(list(found.errors.values())))
+    if middle > HIGH_ERROR:
+        return [
+            Problem(
+                "error" if middle > 4 * HIGH_ERROR else "warning",
+                f"Points project {middle:.1f} pixels from where they were seen, in the median photo.",
+                "Poses and photos do not belong together, or the lens was calibrated badly: use the very "
+                "photos that the poses were found from, or run splatax reconstruct again.",
+            )
+        ]
+    bad = sorted(name for name, error in found.errors.items() if error > max(TWICE * middle, 1.0))
+    if not bad:
+        return []
+    return [
+        Problem(
+            "warning",
+            f"{are(bad)} placed worse than the rest: {listed(bad)}.",
+            "Remove them from the capture if they are blurred or something moved.",
+        )
+    ]
+
+
+def exposure(found: Examination) -> list[Problem]:
+    seen = {name: look for name, look in found.looks.items() if not look.unreadable}
+    problems = []
+    if broken := sorted(found.looks.keys() - seen.keys()):
+        why = found.looks[broken[0]].unreadable
+        what = f"{counted(len(broken))} cannot be read: {listed(broken)} ({why})."
+        problems.append(Problem("error", what, "Copy them from the camera again."))
+    levels = np.log2([max(look.luminance, 1e-3) for look in seen.values()])
+    for names, how in (
+        (outliers(list(seen), levels, LEAST_EXPOSURE, -1), "darker"),
+        (outliers(list(seen), levels, LEAST_EXPOSURE, +1), "brighter"),
+    ):
+        if names:
+            problems.append(
+                Problem(
+                    "warning",
+                    f"{are(names)} much {how} than the rest: {listed(names)}.",
+                    "Lock exposure and white balance, or leave these out.",
+                )
+            )
+    if len(seen) and np.median([look.luminance for look in seen.values()]) < DARK:
+        problems.append(Problem("warning", "The photos are dark, so noise will be learned.", "Add light."))
+    if white := sorted(name for name, look in seen.items() if look.clipped > MUCH_WHITE):
+        what = f"{are(white)} white over more than {MUCH_WHITE:.0%} of their area: {listed(white)}."
+        problems.append(
+            Problem("warning", what, "Expose for the bright parts, unless that is a white backdrop.")
+        )
+    return problems
+
+
+def blur(found: Examination) -> list[Problem]:
+    seen = {name: look for name, look in found.looks.items() if not look.unreadable}
+    values = np.log([max(look.sharpness, 1e-3) for look in seen.values()])
+    names = outliers(list(seen), values, LEAST_SHARPNESS, -1)
+    if not names:
+        return []
+    return [
+        Problem(
+            "warning",
+            f"{are(names)} blurred, compared with the rest: {listed(names)}.",
+            "Leave them out, or take them again: stop before each photo, with a short exposure.",
+        )
+    ]
+
+
+def are(names: list[str]) -> str:
+    """ "1 photo is", "2 photos are"."""
+    return f"{counted(len(names))} {'is' if len(names) == 1 else 'are'}"
+
+
+def outliers(names: list[str], values: Float[np.ndarray, " n"], floor: float, sign: int) -> list[str]:
+    """Those far out on one side."""
+    if len(names) < 5:
+        return []
+    scores = sign * robust_scores(values, floor)
+    return [name for name, score in zip(names, scores, strict=True) if score > OUTLIER]
+
+
+def masks(found: Examination) -> list[Problem]:
+    hidden = sorted(name for name, share in found.coverage.items() if share < MOSTLY_HIDDEN)
+    if not hidden:
+        return []
+    return [
+        Problem(
+            "warning",
+            f"{len(hidden)} masks leave less than {MOSTLY_HIDDEN:.0%} of their photo: {listed(hidden)}.",
+            "White counts and black does not: invert the masks if they are the other way round.",
+        )
+    ]
+
+
+def points(found: Examination) -> list[Problem]:
+    if found.dataset is None or len(found.dataset.points) >= FEW_POINTS:
+        return []
+    count = len(found.dataset.points)
+    if count == 0:
+        return [Problem("warning", "There are no points to start from.", "Train with --init random.")]
+    return [
+        Problem(
+            "warning",
+            f"Only {count} points to start from.",
+            "splatax reconstruct --detail high finds more; or train with --init random.",
+        )
+    ]
+
+
+def memory(found: Examination) -> list[Problem]:
+    if not found.memory or not found.available or found.memory < found.available:
+        return []
+    needed, free = found.memory / 1e9, found.available / 1e9
+    return [
+        Problem(
+            "error",
+            f"Training needs about {needed:.1f} GB, but {free:.1f} GB are free here.",
+            f"Shrink photos: --downscale, or use fewer Gaussians: --max-gaussians {found.gaussians // 4}.",
+        )
+    ]

@@ -1,0 +1,71 @@
+"""Photos of lenses that bend lines -> photos of pinholes."""
+
+from collections.abc import Callable
+from functools import lru_cache, partial
+
+import numpy as np
+import pycolmap
+from jaxtyping import Float
+from scipy import ndimage
+
+from splatax.dataset import Pixels
+
+ENOUGH_SHRINKING = 2.0  # times: then the blur of bilinear interpolation is averaged away
+
+
+def undistortion(
+    camera: pycolmap.Camera, shrinking: float
+) -> tuple[pycolmap.Camera, Callable[[Pixels], Pixels]]:
+    """A pinhole for the photos of a camera, and what brings its photos into that form.
+
+    Args:
+        camera: of the photos.
+        shrinking: by how much the result will be shrunk. Bilinear interpolation is fast, but takes half
+            of a photo's finest detail (variance of its Laplacian); so photos that keep their size are
+            interpolated by cubic splines.
+    """
+    # pycolmap calls all that is no fisheye a "perspective pinhole", whatever its distortion.
+    if camera.is_perspective_pinhole() and camera.is_undistorted():
+        return camera, lambda pixels: pixels
+    options = pycolmap.UndistortCameraOptions()
+    pinhole = pycolmap.undistort_camera(options, camera)
+    if shrinking >= ENOUGH_SHRINKING:
+        return pinhole, partial(bilinear, camera, options)
+    return pinhole, partial(cubic, described(camera), described(pinhole))
+
+
+def bilinear(camera: pycolmap.Camera, options: pycolmap.UndistortCameraOptions, pixels: Pixels) -> Pixels:
+    parts = [pixels[..., :3], *([pixels[..., 3]] if pixels.shape[2] == 4 else [])]
+    bitmaps = [pycolmap.Bitmap.from_array(np.ascontiguousarray(part)) for part in parts]
+    return np.dstack([pycolmap.undistort_image(options, bitmap, camera)[0].to_array() for bitmap in bitmaps])
+
+
+Described = tuple[str, int, int, tuple[float, ...]]  # a camera as a key: model, width, height, parameters
+
+
+def described(camera: pycolmap.Camera) -> Described:
+    return camera.model.name, camera.width, camera.height, tuple(camera.params.tolist())
+
+
+def cubic(camera: Described, pinhole: Described, pixels: Pixels) -> Pixels:
+    rows_and_columns = sources(camera, pinhole)
+    channels = [
+        ndimage.map_coordinates(channel, rows_and_columns, np.float32, order=3, mode="nearest")
+        for channel in np.moveaxis(pixels, 2, 0)
+    ]
+    return np.clip(np.round(np.stack(channels, axis=2)), 0, 255).astype(np.uint8)
+
+
+@lru_cache(maxsize=2)  # photos of one camera follow each other
+def sources(camera: Described, pinhole: Described) -> Float[np.ndarray, "2 h w"]:
+    """Row and column of the distorted photo, counted from its first pixel's centre, that each pixel of
+    the pinhole's comes from."""
+    bent, straight = (
+        pycolmap.Camera(model=model, width=width, height=height, params=list(parameters))
+        for model, width, height, parameters in (camera, pinhole)
+    )
+    columns, rows = np.meshgrid(np.arange(straight.width) + 0.5, np.arange(straight.height) + 0.5)
+    slopes = np.asarray(straight.cam_from_img(np.stack([columns.ravel(), rows.ravel()], axis=1)))
+    seen = np.asarray(bent.img_from_cam(np.column_stack([slopes, np.ones(len(slopes))])))
+    # COLMAP counts pixels from the photo's corner, so centres are at halves.
+    return (seen - 0.5).T[::-1].reshape(2, straight.height, straight.width).astype(np.float32)

@@ -1,0 +1,54 @@
+"""Why photos could not be placed, and what to do about it."""
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import pycolmap
+
+from splatax.reconstruction.mapping import opened
+
+FEW_FEATURES = 200
+FEW_MATCHES = 15  # that agree with one motion: what COLMAP asks of a pair
+
+FEATURELESS = "too few features: blurred, dark, or nothing but plain surfaces"
+ALONE = "overlaps with no other photo"
+APART = "belongs to a part that nothing connects with the rest"
+CONTRADICTED = "overlaps with others, but no pose agrees with them"
+ADVICE = {
+    FEATURELESS: "Take them again with more light and a steady hand, and with textured things in view.",
+    ALONE: "Take photos in smaller steps, so that each shows two thirds of what the one before showed.",
+    APART: "Take photos that lead from one part to the other.",
+    CONTRADICTED: "Move sideways between photos instead of turning on the spot, and keep moving things, "
+    "mirrors and repeating patterns out of them.",
+}
+
+
+def reasons(path: Path, parts: Sequence[pycolmap.Reconstruction]) -> dict[str, str]:
+    """Of each photo in the database that is not in the largest part, why; by name."""
+    placed = set(parts[0].reg_image_ids()) if parts else set()
+    elsewhere = {image for part in parts[1:] for image in part.reg_image_ids()}
+    with opened(path) as database:
+        matched: Counter[int] = Counter()
+        for pair, inliers in zip(*database.read_two_view_geometry_num_inliers(), strict=True):
+            if inliers >= FEW_MATCHES:
+                matched.update(pycolmap.pair_id_to_image_pair(pair))
+        found = {}
+        for image in database.read_all_images():
+            if image.image_id in placed:
+                continue
+            if database.num_keypoints_for_image(image.image_id) < FEW_FEATURES:
+                found[image.name] = FEATURELESS
+            elif not matched[image.image_id]:
+                found[image.name] = ALONE
+            else:
+                found[image.name] = APART if image.image_id in elsewhere else CONTRADICTED
+    return found
+
+
+def advice(rejected: dict[str, str]) -> str:
+    """What helps with the most frequent reason."""
+    known = Counter(reason for reason in rejected.values() if reason in ADVICE)
+    if not known:
+        return "Export the photos again."
+    return ADVICE[known.most_common(1)[0][0]]

@@ -1,0 +1,158 @@
+"""COLMAP's three steps, through pycolmap: features of photos, matches of pairs, poses of all.
+
+The database keeps what has been done, so each step goes on where an earlier one was stopped. Steps
+are called for a few photos or pairs at a time, to tell how far they are.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import pycolmap
+
+from splatax.reconstruction.pairs import Pairing
+
+PHOTOS_AT_ONCE, PAIRS_AT_ONCE = 16, 128
+FEWEST_IN_MODEL = 3  # photos
+MANY = 20  # photos of one camera that also tell its tangential distortion
+UNKNOWN_FOCAL = 1.2  # of the longer side, where EXIF does not tell (as COLMAP's)
+
+
+@dataclass(frozen=True)
+class Features:
+    """How much of each photo to use.
+
+    Attributes:
+        longest_side: that photos are shrunk to, pixels.
+        most: features of a photo.
+        first_octave: of the scale space; -1 doubles photos first, for four times the time.
+    """
+
+    longest_side: int = 1600
+    most: int = 8192
+    first_octave: int = 0
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A photo as COLMAP sees it: upright, shrunk, and named by its number."""
+
+    name: str
+    size: tuple[int, int]
+    focal: float | None  # pixels
+    device: str
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[pycolmap.Database]:
+    database = pycolmap.Database.open(path)
+    try:
+        yield database
+    finally:
+        database.close()
+
+
+def register(database: pycolmap.Database, entries: Sequence[Entry]) -> None:
+    """Writes photos and their cameras to an empty database, in order, so that their numbers do not
+    depend on which thread is first. Photos of one device and size share a camera."""
+    devices: dict[tuple[str, tuple[int, int]], list[Entry]] = {}
+    for entry in entries:
+        devices.setdefault((entry.device, entry.size), []).append(entry)
+    with pycolmap.DatabaseTransaction(database):
+        rigs = {key: write_camera(database, group) for key, group in devices.items()}
+        for entry in entries:
+            camera, rig = rigs[entry.device, entry.size]
+            image = database.read_image(
+                database.write_image(pycolmap.Image(name=entry.name, camera_id=camera))
+            )
+            frame = pycolmap.Frame()
+            frame.rig_id = rig
+            frame.add_data_id(image.data_id)
+            database.write_frame(frame)
+
+
+def write_camera(database: pycolmap.Database, group: Sequence[Entry]) -> tuple[int, int]:
+    """(camera, rig) of photos from one device, with EXIF's focal length to start from."""
+    (width, height), focal = group[0].size, group[0].focal
+    model = "OPENCV" if len(group) > MANY else "SIMPLE_RADIAL"
+    start = focal or UNKNOWN_FOCAL * max(width, height)
+    camera = pycolmap.Camera.create_from_model_name(0, model, start, width, height)
+    camera.has_prior_focal_length = focal is not None
+    camera = database.read_camera(database.write_camera(camera))
+    rig = pycolmap.Rig()
+    rig.add_ref_sensor(camera.sensor_id)
+    return camera.camera_id, database.write_rig(rig)
+
+
+def extract(path: Path, photos: Path, features: Features, watch: Callable[[int, int], None]) -> None:
+    """SIFT features (Lowe 2004) of the photos that have none yet, on the CPU."""
+    options = pycolmap.FeatureExtractionOptions()
+    options.max_image_size = features.longest_side
+    options.sift.max_num_features = features.most
+    options.sift.first_octave = features.first_octave
+    with opened(path) as database:
+        every = sorted(database.read_all_images(), key=lambda image: image.image_id)
+        left = [image.name for image in every if not database.exists_keypoints(image.image_id)]
+    for start in range(0, len(left), PHOTOS_AT_ONCE):
+        watch(len(every) - len(left) + start, len(every))
+        names = left[start : start + PHOTOS_AT_ONCE]
+        pycolmap.extract_features(
+            path, photos, image_names=names, extraction_options=options, device=pycolmap.Device.cpu
+        )
+    watch(len(every), len(every))
+
+
+def match(path: Path, pairing: Pairing, seed: int, watch: Callable[[int, int], None]) -> None:
+    """Matches that agree with one motion, for the pairs that have not been looked at yet."""
+    verification = pycolmap.TwoViewGeometryOptions()
+    verification.ransac.random_seed = seed
+    with opened(path) as database:
+        names = {image.image_id: image.name for image in database.read_all_images()}
+        ids = sorted(names)
+        pairs = [(ids[i], ids[j]) for i, j in pairing.pairs(database, ids)]
+        left = [pair for pair in pairs if not database.exists_two_view_geometry(*pair)]
+    listed = path.with_name("pairs.txt")
+    importing = pycolmap.ImportedPairingOptions()
+    importing.match_list_path = listed
+    for start in range(0, len(left), PAIRS_AT_ONCE):
+        watch(len(pairs) - len(left) + start, len(pairs))
+        chunk = left[start : start + PAIRS_AT_ONCE]
+        listed.write_text("".join(f"{names[i]} {names[j]}\n" for i, j in chunk))
+        pycolmap.match_image_pairs(
+            path, pairing_options=importing, verification_options=verification, device=pycolmap.Device.cpu
+        )
+    watch(len(pairs), len(pairs))
+
+
+def place(
+    path: Path, photos: Path, out: Path, seed: int, watch: Callable[[int, int], None]
+) -> list[pycolmap.Reconstruction]:
+    """Poses and points by incremental structure from motion (Schönberger and Frahm 2016).
+
+    Returns:
+        Parts that nothing connects, the one of most photos first; empty if no two photos fit together.
+    """
+    with opened(path) as database:
+        count = database.num_images()
+    placed = 0
+
+    def one_more(step: int = 1) -> None:
+        nonlocal placed
+        placed = min(placed + step, count)
+        watch(placed, count)
+
+    options = pycolmap.IncrementalPipelineOptions()
+    options.random_seed = seed
+    options.min_model_size = FEWEST_IN_MODEL
+    pycolmap.set_random_seed(seed)
+    out.mkdir(parents=True, exist_ok=True)
+    parts = pycolmap.incremental_mapping(
+        path,
+        photos,
+        out,
+        options=options,
+        initial_image_pair_callback=lambda: one_more(2),
+        next_image_callback=one_more,
+    )
+    return sorted(parts.values(), key=lambda part: -part.num_reg_images())

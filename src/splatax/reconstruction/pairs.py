@@ -1,0 +1,99 @@
+"""Which pairs of photos are worth matching: all of a few, the alike of many, neighbours in a video."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import pycolmap
+from jaxtyping import Float
+
+Pair = tuple[int, int]  # positions of two photos in the order of their names, the smaller first
+
+FEATURES = 200  # the largest of each photo stand for it (preemptive matching, Wu 2013)
+RATIO = 0.8  # of distances to the best and second best match (Lowe 2004)
+FEWEST = 4  # matches between two photos that are alike
+BLOCK = 64  # photos compared with one at a time
+
+
+@dataclass(frozen=True)
+class Exhaustive:
+    """Every photo with every other."""
+
+    def pairs(self, database: pycolmap.Database, ids: list[int]) -> list[Pair]:
+        return [(i, j) for i in range(len(ids)) for j in range(i + 1, len(ids))]
+
+
+@dataclass(frozen=True)
+class Similar:
+    """Each photo with those it shares most of its largest features with, and with the next by name."""
+
+    neighbours: int = 30
+    following: int = 3
+
+    def pairs(self, database: pycolmap.Database, ids: list[int]) -> list[Pair]:
+        return sorted(
+            alike(database, ids, self.neighbours) | following(len(ids), range(1, self.following + 1))
+        )
+
+
+@dataclass(frozen=True)
+class Sequential:
+    """Each frame with the next, with some further on, and with some that are alike, to close loops."""
+
+    overlap: int = 8
+    doublings: int = 5  # distances of twice the overlap, four times, ...
+    neighbours: int = 5
+
+    def pairs(self, database: pycolmap.Database, ids: list[int]) -> list[Pair]:
+        steps = [*range(1, self.overlap + 1), *(self.overlap << i for i in range(1, self.doublings + 1))]
+        return sorted(alike(database, ids, self.neighbours) | following(len(ids), steps))
+
+
+Pairing = Exhaustive | Similar | Sequential
+
+
+def following(count: int, steps: Iterable[int]) -> set[Pair]:
+    """Pairs at these distances in the order of names."""
+    return {(i, i + step) for step in steps for i in range(count - step)}
+
+
+def alike(database: pycolmap.Database, ids: list[int], neighbours: int) -> set[Pair]:
+    """Pairs of photos of which one is among those most like the other."""
+    features = [largest(database, image) for image in ids]
+    counts = np.zeros((len(ids), len(ids)))
+    for i in range(len(ids)):
+        for start in range(i + 1, len(ids), BLOCK):
+            counts[i, start : start + BLOCK] = shared(features[i], features[start : start + BLOCK])
+    counts += counts.T
+    found = set()
+    for i, row in enumerate(counts):
+        for j in np.argsort(-row, kind="stable")[:neighbours].tolist():
+            if row[j] >= FEWEST:
+                found.add((min(i, j), max(i, j)))
+    return found
+
+
+def largest(database: pycolmap.Database, image: int) -> Float[np.ndarray, "k 128"]:
+    """Unit descriptors of the largest features of a photo; zeros where it has fewer."""
+    chosen = np.zeros((FEATURES, 128), np.float32)
+    if database.exists_descriptors(image):
+        keypoints, descriptors = database.read_keypoints(image), database.read_descriptors(image).data
+        a, b, c, d = keypoints[:, 2:6].T  # affine shape
+        scales = np.abs(a * d - b * c)
+        best = np.asarray(descriptors)[np.argsort(-scales, kind="stable")[:FEATURES]].astype(np.float32)
+        chosen[: len(best)] = best / np.maximum(np.linalg.norm(best, axis=1, keepdims=True), 1e-9)
+    return chosen
+
+
+def shared(
+    features: Float[np.ndarray, "k 128"], others: list[Float[np.ndarray, "k 128"]]
+) -> Float[np.ndarray, " m"]:
+    """How many features have a distinct match in each of the other photos."""
+    products = (features @ np.concatenate(others).T).reshape(FEATURES, len(others), FEATURES)
+    at = products.argmax(axis=2)[..., None]
+    best = np.take_along_axis(products, at, axis=2)[..., 0]
+    np.put_along_axis(products, at, -np.inf, axis=2)
+    second = products.max(axis=2)
+    # Distances of unit vectors: |a - b|^2 = 2 - 2 a.b
+    distinct = (2 - 2 * best) < RATIO**2 * (2 - 2 * second)
+    return np.sum(distinct & (best > 0), axis=0).astype(np.float64)

@@ -1,0 +1,235 @@
+"""From photos to a capture, in stages that can be stopped and gone on with."""
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+
+import pycolmap
+
+from splatax.errors import DatasetError, InputError
+from splatax.io import images
+from splatax.io.datasets.photos import counted
+from splatax.io.files import write_whole
+from splatax.reconstruction import diagnosis, mapping
+from splatax.reconstruction.mapping import Entry, Features
+from splatax.reconstruction.pairs import Exhaustive, Pairing, Sequential, Similar
+from splatax.reconstruction.photos import Photo, photos_in, read, save
+from splatax.reconstruction.video import is_video, pick_frames
+from splatax.reconstruction.writing import write_capture
+
+RESULTS = ("sparse", "images")
+WORK = ".reconstruction"  # in the capture's folder, until it is finished
+FEW = 80  # photos, of which every pair is matched
+FEWEST, LEAST_SHARE = 3, 0.5  # of photos that must be placed
+STAGES = ("reading", "features", "matches", "poses", "writing")
+Watch = Callable[[str, int, int], None]  # stage, how far, of how much
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of the photos.
+
+    Attributes:
+        registered: names of those placed.
+        rejected: of the others, by name, why not.
+        points: how many were found.
+        error: mean reprojection error, pixels of the written photos.
+    """
+
+    registered: tuple[str, ...]
+    rejected: dict[str, str]
+    points: int
+    error: float
+
+
+def reconstruct(
+    source: Path,
+    out: Path,
+    *,
+    frames: int = 200,
+    features: Features = Features(),
+    pairing: Pairing | None = None,
+    seed: int = 0,
+    watch: Watch = lambda stage, done, total: None,
+) -> Outcome:
+    """Finds poses and points, and writes undistorted photos and a COLMAP model to a folder.
+
+    What an interrupted call has done is kept in the folder, and the next call goes on from there.
+
+    Args:
+        source: a folder of photos, or a video.
+        out: folder for the capture.
+        frames: how many to take of a video.
+        features: how much of each photo to use.
+        pairing: which pairs to match. None: all of few photos, those alike of many, neighbours of a video.
+        seed: of all randomness.
+        watch: is told how each of `STAGES` goes.
+
+    Raises:
+        InputError: if the folder holds something else, or a package to read photos or video is missing.
+        DatasetError: if there are no photos, or too few of them fit together.
+    """
+    pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL.value
+    work = out / WORK
+    refuse_overlap(source, out)
+    if any((out / name).exists() for name in RESULTS):
+        raise InputError(f"{out}: holds a capture. Choose another folder, or replace it: --overwrite.")
+    settings = {"source": str(source.resolve()), "frames": frames, "features": asdict(features), "seed": seed}
+    prepare(work, settings)
+    found, rejected = gather(source, work, frames, partial(watch, "reading"))
+    photos, damaged = shrink(found, work / "photos", features.longest_side, partial(watch, "reading"))
+    rejected |= damaged
+    if len(photos) < FEWEST:
+        why = f" ({len(rejected)} cannot be read, such as {next(iter(rejected))})" if rejected else ""
+        raise DatasetError(
+            f"{source}: {counted(len(photos))} to use{why}, but depth needs at least {FEWEST}, better 30 or "
+            "more, from different places."
+        )
+    database = work / "database.db"
+    if not database.exists():
+        entries = [entry_of(name, photo, features) for name, photo in photos.items()]
+        (work / "new.db").unlink(missing_ok=True)
+        with mapping.opened(work / "new.db") as empty:
+            mapping.register(empty, entries)
+        (work / "new.db").replace(database)
+    mapping.extract(database, work / "photos", features, partial(watch, "features"))
+    mapping.match(database, pairing or pairing_for(source, len(photos)), seed, partial(watch, "matches"))
+    parts = mapping.place(database, work / "photos", work / "models", seed, partial(watch, "poses"))
+    reasons = diagnosis.reasons(database, parts)
+    rejected |= {photos[name].name: reason for name, reason in reasons.items()}
+    placed = parts[0].num_reg_images() if parts else 0
+    if placed < max(FEWEST, LEAST_SHARE * len(photos)):
+        raise DatasetError(
+            f"{source}: only {placed} of {len(photos)} photos fit together; {most_frequent(rejected)}. "
+            f"{diagnosis.advice(rejected)}"
+        )
+    registered = sorted(photos[parts[0].image(i).name].name for i in parts[0].reg_image_ids())
+    write_capture(parts[0], photos, work / "capture", partial(watch, "writing"))
+    for name in reversed(RESULTS):
+        (work / "capture" / name).rename(out / name)
+    outcome = Outcome(
+        tuple(registered),
+        rejected,
+        parts[0].num_points3D(),
+        parts[0].compute_mean_reprojection_error(),
+    )
+    shutil.rmtree(work)
+    return outcome
+
+
+def clear(source: Path, out: Path) -> None:
+    """Removes what an earlier call has written.
+
+    Raises:
+        InputError: if that could be the photos themselves.
+    """
+    refuse_overlap(source, out)
+    for name in (*RESULTS, WORK):
+        shutil.rmtree(out / name, ignore_errors=True)
+
+
+def refuse_overlap(source: Path, out: Path) -> None:
+    """Refuses results that could harm the photos, or be taken for some.
+
+    Raises:
+        InputError: if they could, or there are no photos.
+    """
+    if not source.exists():
+        raise InputError(f"{source}: no such folder or video.")
+    inside, whole = out.resolve(), source.resolve()
+    if whole.is_dir() and inside.is_relative_to(whole):
+        raise InputError(f"{out}: lies among the photos. Choose a folder outside {source}.")
+    if whole.is_relative_to(inside / "images"):
+        raise InputError(f"{out}: its images/ holds the photos themselves. Choose another folder.")
+
+
+def prepare(work: Path, settings: dict) -> None:
+    """Makes the folder of work in progress, or finds that of an earlier call.
+
+    Raises:
+        InputError: if that was called for something else.
+    """
+    path = work / "settings.json"
+    written = json.dumps(settings, indent=1)
+    if work.exists() and (not path.exists() or path.read_text() != written):
+        raise InputError(
+            f"{work.parent}: holds half a reconstruction that was started otherwise. Choose another "
+            "folder, or replace it: --overwrite."
+        )
+    work.mkdir(parents=True, exist_ok=True)
+    write_whole(path, written.encode())
+
+
+def gather(
+    source: Path, work: Path, frames: int, watch: Callable[[int, int], None]
+) -> tuple[list[Photo], dict[str, str]]:
+    """(photos, why others cannot be used) of a folder or a video."""
+    if source.is_dir():
+        photos, damaged = photos_in(source)
+        if not photos and not damaged:
+            raise DatasetError(
+                f"{source}: no photos in this folder. Give the folder they are in, or a video."
+            )
+        return photos, damaged
+    if not is_video(source):
+        raise InputError(f"{source}: neither a folder of photos nor a video.")
+    if not (work / "frames").exists():
+        shutil.rmtree(work / "frames.part", ignore_errors=True)
+        pick_frames(source, work / "frames.part", frames, watch)
+        (work / "frames.part").rename(work / "frames")
+    return photos_in(work / "frames")
+
+
+def shrink(
+    photos: list[Photo], folder: Path, longest_side: int, watch: Callable[[int, int], None]
+) -> tuple[dict[str, Photo], dict[str, str]]:
+    """Writes what features are taken from: upright and no larger than needed, named by number.
+
+    Returns:
+        The photos by those names; and why some could not be read, by their own.
+    """
+    shrunk, damaged = {}, {}
+    for number, photo in enumerate(photos):
+        watch(number, len(photos))
+        name = f"{number:06}.jpg"
+        try:
+            if not (folder / name).exists():
+                width, height = shrunk_size(photo, longest_side)
+                save(folder / f"{name}.part", images.resize(read(photo), width, height))
+                (folder / f"{name}.part").rename(folder / name)
+            shrunk[name] = photo
+        except DatasetError as error:
+            damaged[photo.name] = f"cannot be read: {error}"
+    watch(len(photos), len(photos))
+    return shrunk, damaged
+
+
+def shrunk_size(photo: Photo, longest_side: int) -> tuple[int, int]:
+    factor = min(1.0, longest_side / max(photo.size))
+    width, height = (max(1, round(side * factor)) for side in photo.size)
+    return width, height
+
+
+def entry_of(name: str, photo: Photo, features: Features) -> Entry:
+    size = shrunk_size(photo, features.longest_side)
+    focal = photo.focal * max(size) / max(photo.size) if photo.focal else None
+    return Entry(name, size, focal, photo.device)
+
+
+def pairing_for(source: Path, count: int) -> Pairing:
+    """What suits a video, few photos, or many."""
+    if count <= FEW:
+        return Exhaustive()
+    return Sequential() if is_video(source) else Similar()
+
+
+def most_frequent(rejected: dict[str, str]) -> str:
+    """ "of the others, 7: overlap with no other photo"."""
+    reasons = list(rejected.values())
+    if not reasons:
+        return "no two show the same from different places"
+    top = max(sorted(set(reasons)), key=reasons.count)
+    return f"of the others, {reasons.count(top)}: {top}"

@@ -1,0 +1,85 @@
+"""Frames of a video, the sharpest of each stretch. Read with PyAV, an optional package."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Num
+
+from splatax.errors import DatasetError, InputError
+from splatax.reconstruction.photos import save
+
+SUFFIXES = {".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".3gp"}
+WIDTH = 480  # pixels, at which sharpness is judged
+QUARTER_TURNS = {0: 0, 90: 1, 180: 2, 270: 3}
+
+
+def is_video(path: Path) -> bool:
+    return path.suffix.lower() in SUFFIXES
+
+
+def sharpness(gray: Num[np.ndarray, "h w"]) -> float:
+    """Variance of the Laplacian (Pech-Pacheco et al. 2000), of brightness in [0, 255]."""
+    g = gray.astype(np.float32)
+    laplacian = 4 * g[1:-1, 1:-1] - g[:-2, 1:-1] - g[2:, 1:-1] - g[1:-1, :-2] - g[1:-1, 2:]
+    return float(laplacian.var())
+
+
+def pick_frames(path: Path, folder: Path, count: int, watch: Callable[[int, int], None]) -> None:
+    """Writes frames to a folder as JPEG: of `count` stretches of equal length, the sharpest of each.
+
+    Args:
+        path: of the video.
+        folder: for the frames.
+        count: how many; fewer if the video has fewer.
+        watch: is told (frames looked at, about how many there are).
+
+    Raises:
+        InputError: if PyAV is not installed.
+        DatasetError: if the file is no video, or damaged.
+    """
+    try:
+        import av
+    except ImportError:
+        raise InputError(
+            f"{path}: reading videos needs another package: pip install 'splatax[video]'. Or give a "
+            "folder of frames."
+        ) from None
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        with av.open(str(path)) as container:
+            if not container.streams.video:
+                raise DatasetError(f"{path}: there is no picture in this video.")
+            stream = container.streams.video[0]
+            stream.thread_type = "AUTO"
+            total = stream.frames or int(
+                float(container.duration or 0) / 1e6 * float(stream.average_rate or 30)
+            )
+            for index, frame in best_of_stretches(container.decode(stream), total, count, watch):
+                turned = np.rot90(
+                    frame.to_ndarray(format="rgb24"), QUARTER_TURNS[round(frame.rotation) % 360]
+                )
+                save(folder / f"frame_{index:06}.jpg", np.ascontiguousarray(turned))
+    except (av.error.FFmpegError, KeyError) as error:
+        raise DatasetError(f"{path}: the video cannot be read ({error}). Convert it to MP4.") from error
+
+
+def best_of_stretches(
+    frames: Iterator[Any], total: int, count: int, watch: Callable[[int, int], None]
+) -> Iterator[tuple[int, Any]]:
+    """(index, frame) of the sharpest frame in each of `count` stretches of about `total` frames."""
+    length = max(total / count, 1.0)
+    best: tuple[float, int, Any] | None = None
+    stretch = 0
+    for index, frame in enumerate(frames):
+        if index >= (stretch + 1) * length and best is not None:
+            yield best[1], best[2]
+            best, stretch = None, int(index / length)
+        height = max(round(frame.height * WIDTH / frame.width), 3)
+        score = sharpness(frame.reformat(width=WIDTH, height=height, format="gray").to_ndarray())
+        if best is None or score > best[0]:
+            best = score, index, frame
+        watch(index + 1, max(total, index + 1))
+    if best is not None:
+        yield best[1], best[2]

@@ -1,0 +1,82 @@
+"""What the data doctor says of a capture: facts for a terminal, and one HTML file that needs nothing else."""
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from splatax.inspection import Examination, Problem
+from splatax.io.datasets.photos import sizes_of
+from splatax.report.page import fill
+from splatax.report.plan import plan
+
+LENSES = 4  # that are listed
+
+
+def facts_of(found: Examination) -> list[tuple[str, str]]:
+    """What there is, as label and value."""
+    facts = []
+    if found.dataset is None:
+        facts.append(("photos", f"{len(found.photos)}, without poses"))
+    else:
+        unused = len(found.dataset.survey.unused)
+        held_out = len(found.dataset.test)
+        facts.append(("photos", f"{len(found.views) + unused}, of which {len(found.views)} have a pose"))
+        facts.append(("held out", f"{held_out} for testing"))
+        facts.append(("size", f"{sizes_of(list(found.views))} as trained"))
+        lenses = Counter(found.dataset.survey.lenses.values()).most_common()
+        facts += [("lens", f"{lens}  ({count} photos)") for lens, count in lenses[:LENSES]]
+        if len(lenses) > LENSES:
+            facts.append(("lens", f"and {len(lenses) - LENSES} more"))
+        facts.append(("points", f"{len(found.dataset.points):,}"))
+    if found.errors:
+        middle, worst = (
+            np.median(list(found.errors.values())),
+            max(found.errors, key=found.errors.__getitem__),
+        )
+        facts.append(
+            ("reprojection error", f"{middle:.2f} px, at worst {found.errors[worst]:.2f} px in {worst}")
+        )
+    if found.coverage:
+        facts.append(("masks", f"{np.mean(list(found.coverage.values())):.0%} of pixels count"))
+    if len(found.looks) < len(found.photos):
+        facts.append(("looked at", f"{len(found.looks)} of {len(found.photos)} photos, for lack of time"))
+    if found.memory:
+        free = f", {found.available / 1e9:.1f} GB are free here" if found.available else ""
+        forecast = f"about {found.memory / 1e9:.1f} GB for {found.gaussians:,} Gaussians, as by default{free}"
+        facts.append(("memory to train", forecast))
+    return facts
+
+
+def verdict(problems: Sequence[Problem]) -> str:
+    """ "2 problems, 1 of them serious"."""
+    serious = sum(problem.severity == "error" for problem in problems)
+    if not problems:
+        return "No problems found"
+    count = f"{len(problems)} problem{'s' if len(problems) > 1 else ''}"
+    return f"{count}, {serious} of them serious" if serious else count
+
+
+def capture_page(found: Examination, problems: Sequence[Problem]) -> str:
+    """The page."""
+    blamed = " ".join(problem.what for problem in problems)
+    rows = [
+        {
+            "name": name,
+            "luminance": f"{look.luminance:.2f}" if not look.unreadable else "unreadable",
+            "clipped": f"{look.clipped:.1%}",
+            "sharpness": f"{look.sharpness:,.0f}",
+            "error": f"{found.errors[name]:.2f}" if name in found.errors else "",
+            "bad": bool(look.unreadable) or name in blamed,
+        }
+        for name, look in found.looks.items()
+    ]
+    return fill(
+        "capture.html",
+        title=f"Capture {found.path.resolve().name}",
+        facts=facts_of(found),
+        verdict=verdict(problems),
+        problems=problems,
+        plan=plan(found.dataset) if found.dataset else "",
+        rows=rows,
+    )

@@ -1,0 +1,82 @@
+"""Cameras and points of a capture in one picture, from above and from the side."""
+
+import io
+
+import numpy as np
+from jaxtyping import Float
+
+from splatax.dataset import Dataset
+from splatax.report.pictures import encoded
+
+MOST_POINTS = 20_000
+MARGIN = 0.08  # of the picture's width
+SHOWN = (2, 98)  # percentiles of the points that the picture has room for, beside all cameras
+ARROW = 0.12  # of the picture's width: the length of viewing directions
+DPI = 110
+
+
+def plan(dataset: Dataset) -> str:
+    """The picture, as PNG inside a page. Up is where the tops of the photos are, on average."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure  # slow to import
+
+    positions, axes = directions(dataset)
+    chosen = np.random.default_rng(0).permutation(len(dataset.points))[:MOST_POINTS]
+    cloud, colors = dataset.points.positions[chosen], dataset.points.colors[chosen]
+    tested = np.array([view in dataset.test for view in dataset.views])
+    figure = Figure(figsize=(11, 5.2), layout="constrained", dpi=DPI)
+    FigureCanvasAgg(figure)
+    for panel, (title, across, upward) in zip(
+        figure.subplots(1, 2), (("from above", 0, 1), ("from the side", 1, 2)), strict=True
+    ):
+        pick = np.array(upright_frame(axes))[[across, upward]]
+        flat_cloud, flat = cloud @ pick.T, positions @ pick.T
+        centre, half = window(flat_cloud, flat)
+        panel.scatter(*flat_cloud.T, c=np.clip(colors, 0, 1), s=1.5, linewidths=0)
+        looking = axes[:, 2] @ pick.T * half * ARROW
+        for kind, color, label in ((~tested, "C0", "training"), (tested, "C3", "held out")):
+            if kind.any():
+                panel.quiver(*flat[kind].T, *looking[kind].T, color=color, width=0.003, **QUIVER)
+                panel.scatter(*flat[kind].T, color=color, s=14, label=label)
+        panel.set_xlim(centre[0] - half, centre[0] + half)
+        panel.set_ylim(centre[1] - half, centre[1] + half)
+        panel.set_aspect("equal")
+        panel.set_title(title)
+        panel.legend(loc="upper right", fontsize="small")
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png")
+    return encoded(buffer.getvalue(), "image/png")
+
+
+QUIVER = {"angles": "xy", "scale_units": "xy", "scale": 1}
+
+
+def directions(dataset: Dataset) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 3"]]:
+    """Positions of all cameras, and their axes right, down and forward, as rows."""
+    cameras = [view.camera for view in dataset.views]
+    positions = np.stack([np.asarray(camera.position, np.float64) for camera in cameras])
+    return positions, np.stack([np.asarray(camera.rotation, np.float64) for camera in cameras])
+
+
+def upright_frame(axes: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "3 3"]:
+    """Rows: right, away and up, so that the first two span the ground."""
+    up = unit(-axes[:, 1].mean(axis=0), np.array([0.0, -1.0, 0.0]))
+    ahead = axes[:, 2].mean(axis=0)
+    spare = np.eye(3)[np.argmin(np.abs(up))]
+    away = unit(ahead - up * (ahead @ up), unit(spare - up * (spare @ up), spare))
+    return np.stack([np.cross(away, up), away, up])
+
+
+def unit(vector: Float[np.ndarray, "3"], otherwise: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    length = np.linalg.norm(vector)
+    return vector / length if length > 1e-6 else otherwise
+
+
+def window(
+    cloud: Float[np.ndarray, "n 2"], cameras: Float[np.ndarray, "m 2"]
+) -> tuple[Float[np.ndarray, "2"], float]:
+    """Centre and half the side of a square around all cameras and most points."""
+    corners = np.percentile(cloud, SHOWN, axis=0) if len(cloud) else cameras
+    corners = np.concatenate([corners, cameras])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    return (low + high) / 2, float((high - low).max() / 2 * (1 + 2 * MARGIN)) or 1.0

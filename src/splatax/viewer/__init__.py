@@ -1,0 +1,1 @@
+"""A scene in a browser, drawn by the renderer that trains it."""

@@ -1,0 +1,6 @@
+"""A scene as one HTML file that opens with a double click: no server, no network."""
+
+from splatax.web.page import LOSES as LOSES
+from splatax.web.page import MAX_SH_DEGREE as MAX_SH_DEGREE
+from splatax.web.page import require_viewer as require_viewer
+from splatax.web.page import save as save

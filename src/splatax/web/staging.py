@@ -1,0 +1,134 @@
+"""The scene as a viewer wants it: upright, of ordinary size, and with a place to look from."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from splatax.camera import Camera, look_at
+from splatax.editing.placing import UP, level
+from splatax.errors import InputError
+from splatax.gaussians import Gaussians
+from splatax.similarity import Similarity
+
+SIZE = 4.0  # viewer's units that the cameras (or, without any, the Gaussians) spread over, from their middle
+LEAST_TURN = 0.03  # of the axes, as an eigenvalue, for a point that all look at to exist
+SAMPLE = 20_000  # Gaussians that tell how far a camera sees
+FIELD_OF_VIEW = 50.0  # degrees, without cameras
+# From a camera's axes (right, down, forward) to those of three.js (right, up, back), and so for worlds.
+HALF_TURN = np.diag([1.0, -1.0, -1.0])
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Where things are in the viewer.
+
+    Attributes:
+        place: the world's way into the viewer's frame, its y still down.
+        poses: the cameras there, in the terms of web/src/pose.js.
+        start: the pose to begin with, and its index among the cameras (-1: none of them).
+    """
+
+    place: Similarity
+    poses: list[dict]
+    start: dict
+
+
+def stage(gaussians: Gaussians, cameras: Mapping[str, Camera]) -> Stage:
+    """Finds them, from what the cameras saw or, without cameras, from the Gaussians alone.
+
+    Args:
+        gaussians: the scene, at least one.
+        cameras: of the capture, by name; may be empty.
+    """
+    means = np.asarray(gaussians.means, np.float64)
+    if not cameras:
+        middle = np.median(means, axis=0)
+        radius = float(np.quantile(np.linalg.norm(means - middle, axis=1), 0.95)) or 1.0
+        place = _place(np.eye(3), middle, SIZE / radius)
+        return Stage(place, [], pose_of(_outside(), 2.4 * SIZE) | {"camera": -1})
+    poses = list(cameras.values())
+    eyes = np.stack([np.asarray(camera.position, np.float64) for camera in poses])
+    middle = eyes.mean(axis=0)
+    depths = _focal_distances(means, poses)
+    spread = float(np.linalg.norm(eyes - middle, axis=1).max())
+    extent = max(spread, 0.2 * float(np.median(depths)))  # of cameras in one place: how far they see
+    place = _place(_levelling(poses), middle, SIZE / extent)
+    there = [
+        pose_of(place.transform_camera(camera), place.scale * depth)
+        for camera, depth in zip(poses, depths, strict=True)
+    ]
+    central = int(np.argmin(np.linalg.norm(eyes - np.median(eyes, axis=0), axis=1)))
+    return Stage(place, there, there[central] | {"camera": central})
+
+
+def pose_of(camera: Camera, focus: float) -> dict:
+    """A camera in the viewer's frame, y up."""
+    rotation = HALF_TURN @ np.asarray(camera.rotation, np.float64).T @ HALF_TURN
+    fx, fy, cx, cy = (float(value) for value in (camera.fx, camera.fy, camera.cx, camera.cy))
+    width, height = camera.width, camera.height
+    return {
+        "position": _rounded(HALF_TURN @ np.asarray(camera.position, np.float64)),
+        "quaternion": _rounded(Rotation.from_matrix(rotation).as_quat()),
+        "lens": {
+            "aspect": width / height,
+            "fx": 2 * fx / width,
+            "fy": 2 * fy / height,
+            "sx": 1 - 2 * cx / width,
+            "sy": 2 * cy / height - 1,
+        },
+        "focus": round(float(focus), 4),
+    }
+
+
+def _rounded(values: np.ndarray) -> list[float]:
+    return [round(float(value), 7) for value in values]
+
+
+def _place(rotation: Float[np.ndarray, "3 3"], middle: Float[np.ndarray, "3"], scale: float) -> Similarity:
+    return Similarity(rotation, -scale * rotation @ middle, scale)
+
+
+def _levelling(cameras: Sequence[Camera]) -> Float[np.ndarray, "3 3"]:
+    """What puts the scene upright; nothing if the cameras were held in all ways, so that none is up."""
+    try:
+        return level(cameras).rotation
+    except InputError:
+        return np.eye(3)
+
+
+def _focal_distances(means: Float[np.ndarray, "n 3"], cameras: Sequence[Camera]) -> Float[np.ndarray, " c"]:
+    """How far ahead of each camera lies what it is about: the point that all look at or, where there is
+    none, the middle of what it sees."""
+    eyes = np.stack([np.asarray(camera.position, np.float64) for camera in cameras])
+    forwards = np.stack([np.asarray(camera.rotation, np.float64)[2] for camera in cameras])
+    # The point nearest to all optical axes solves sum (I - f f^T) (p - eye) = 0.
+    across = np.eye(3) - forwards[:, :, None] * forwards[:, None, :]
+    system = across.mean(axis=0)
+    if np.linalg.eigvalsh(system)[0] > LEAST_TURN:
+        target = np.linalg.solve(system, np.einsum("cij,cj->i", across, eyes) / len(cameras))
+        distances = np.einsum("ci,ci->c", target - eyes, forwards)
+        if distances.min() > 0.1 * np.median(distances) > 0:
+            return distances
+    sample = means[:: max(len(means) // SAMPLE, 1)]
+    return np.array([_median_depth(sample, camera) for camera in cameras])
+
+
+def _median_depth(means: Float[np.ndarray, "n 3"], camera: Camera) -> float:
+    """Of the Gaussians inside a camera's picture; 1 if there are none."""
+    x, y, z = np.asarray(camera.rotation, np.float64) @ means.T + np.asarray(camera.translation)[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+    seen = (z > 0) & (u > 0) & (u < camera.width) & (v > 0) & (v < camera.height)
+    return float(np.median(z[np.asarray(seen)])) if np.any(seen) else 1.0
+
+
+def _outside() -> Camera:
+    """A camera that sees a whole scene of ordinary size around the origin, from a little above."""
+    eye = jnp.array([0.0, -0.35, -1.0]) * SIZE * 2.4 / np.hypot(0.35, 1)
+    pose = look_at(eye, jnp.zeros(3), jnp.asarray(UP, jnp.float32))
+    width, height = 1600, 1000
+    return Camera.simple_pinhole(height / 2 / np.tan(np.radians(FIELD_OF_VIEW / 2)), pose, width, height)

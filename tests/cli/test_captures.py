@@ -1,0 +1,45 @@
+"""Captures of every layout, from the command line."""
+
+import json
+
+import pytest
+from test_refusals import refused
+
+from captures import write_blender, write_llff, write_transforms, zipped
+from splatax import cli
+
+
+@pytest.fixture
+def blender(tmp_path):
+    return write_blender(tmp_path / "blender")
+
+
+def train(scene, out, *options):
+    cli.main(["train", str(scene), "--out", str(out), "--steps", "2", "--init", "random", *options])
+    return json.loads((out / "config.json").read_text()), json.loads((out / "metrics.json").read_text())
+
+
+def test_a_zip_of_blenders_photos_is_trained_scored_and_drawn_over_white(blender, tmp_path):
+    scene = zipped(blender, tmp_path / "blender.zip")
+    config, metrics = train(scene, tmp_path / "run")
+    assert config["options"]["background"] == "white"
+    assert config["recipe"]["background"]["rgb"] == [1.0, 1.0, 1.0]
+    cli.main(["eval", str(tmp_path / "run"), str(scene), "--out", str(tmp_path / "scores.json")])
+    scores = json.loads((tmp_path / "scores.json").read_text())
+    assert scores["psnr"] == metrics["test"]["psnr"]
+    assert "(1.0, 1.0, 1.0)" in scores["protocol"]["background"]
+    cli.main(["render", str(tmp_path / "run"), str(scene), "--out", str(tmp_path / "pictures")])
+    assert (tmp_path / "pictures" / "rgb" / "test" / "r_0.png").is_file()
+
+
+def test_another_background_may_be_asked_for(blender, tmp_path):
+    config, _ = train(blender, tmp_path / "run", "--background", "black")
+    assert config["options"]["background"] == "black"
+
+
+@pytest.mark.parametrize("write", [write_transforms, write_llff])
+def test_captures_without_points_name_the_way_out(write, tmp_path, capsys):
+    scene = write(tmp_path / "capture")
+    assert "--init random" in refused(capsys, "train", scene, "--out", tmp_path / "run")
+    train(scene, tmp_path / "run")
+    assert (tmp_path / "run" / "scene.ply").is_file()

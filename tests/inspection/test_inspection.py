@@ -1,0 +1,169 @@
+"""The data doctor: each defect that is put into a capture is found, and none where there is none."""
+
+import re
+
+import numpy as np
+import pycolmap
+import pytest
+from PIL import Image
+from scipy import ndimage
+
+import splatax as sx
+from captures import SIZE, model_of, pinhole, write_capture, write_transforms
+from splatax.inspection import examine, problems_of
+from splatax.inspection.looks import looks_of, robust_scores, spread
+from splatax.io.images import read
+from splatax.report.capture import capture_page
+from splatax.report.plan import upright_frame
+
+COUNT = 24
+NAMES = [f"photo{i:02}.png" for i in range(COUNT)]
+
+
+@pytest.fixture
+def capture(tmp_path):
+    """Photos of one smooth pattern, as sharp and bright as each other, and 30 points."""
+    capture = write_capture(tmp_path / "capture", count=COUNT)
+    rng = np.random.default_rng(0)
+    for name in NAMES:
+        smooth = ndimage.gaussian_filter(rng.normal(size=(48, 64)), 1.0)
+        Image.fromarray(gray(128 + 200 * smooth)).save(capture / "images" / name)
+    return capture
+
+
+def gray(values):
+    return np.repeat(np.clip(values, 0, 255)[..., None], 3, axis=2).astype(np.uint8)
+
+
+def edit(capture, name, change):
+    path = capture / "images" / name
+    Image.fromarray(change(read(path).astype(np.float64)).clip(0, 255).astype(np.uint8)).save(path)
+
+
+def problems(capture):
+    return problems_of(examine(capture, sx.load_dataset(capture)))
+
+
+def said(capture):
+    return [problem.what for problem in problems(capture)]
+
+
+FEW_POINTS = "Only 30 points to start from."
+
+
+def test_a_sound_capture_has_no_problem_but_its_few_points(capture):
+    assert said(capture) == [FEW_POINTS]
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        (lambda p: ndimage.gaussian_filter(p, (2.5, 2.5, 0)), "1 photo is blurred, compared with the rest"),
+        (lambda p: p * 0.4, "1 photo is much darker than the rest"),
+        (lambda p: p * 0.4 + 150, "1 photo is much brighter than the rest"),
+        (lambda p: np.where(np.arange(64)[:, None] < 30, 255, p), "1 photo is white over more than 20% of"),
+    ],
+    ids=["blurred", "dark", "bright", "burnt out"],
+)
+def test_a_photo_unlike_the_rest_is_found(capture, change, what):
+    edit(capture, "photo07.png", change)
+    assert any(line.startswith(what) and line.endswith(": photo07.png.") for line in said(capture))
+
+
+def test_a_photo_that_cannot_be_read_is_an_error(capture):
+    path = capture / "images" / "photo03.png"
+    path.write_bytes(path.read_bytes()[:500])
+    first = problems(capture)[0]
+    assert first.severity == "error"
+    assert re.match(r"1 photo cannot be read: photo03.png \(.+\)", first.what)
+
+
+def test_photos_without_a_pose_are_named(capture):
+    (capture / "images" / "extra.png").write_bytes((capture / "images" / "photo00.png").read_bytes())
+    assert f"1 of {COUNT + 1} photos have no pose: extra.png." in said(capture)
+
+
+def test_observations_that_points_do_not_project_to_are_an_error(capture):
+    model = pycolmap.Reconstruction(capture / "sparse" / "0")
+    for image in model.images.values():
+        for point in image.points2D:
+            point.xy = point.xy + [6, 8]
+    model.write_binary(capture / "sparse" / "0")
+    assert "Points project 10.0 pixels from where they were seen, in the median photo." in said(capture)
+    assert problems(capture)[0].severity == "error"
+
+
+def test_one_badly_placed_photo_is_found(capture):
+    model = pycolmap.Reconstruction(capture / "sparse" / "0")
+    for point in model.find_image_with_name("photo05.png").points2D:
+        point.xy = point.xy + [3, 4]
+    model.write_binary(capture / "sparse" / "0")
+    assert "1 photo is placed worse than the rest: photo05.png." in said(capture)
+
+
+def test_turning_on_the_spot_is_an_error(tmp_path):
+    capture = write_capture(tmp_path / "capture", count=COUNT)
+    model = model_of(NAMES, pinhole())
+    for image in model.images.values():
+        pose = image.cam_from_world()
+        image.frame.rig_from_world = pycolmap.Rigid3d(pose.rotation, np.zeros(3))
+    model.write_binary(capture / "sparse" / "0")
+    assert "All photos are from one place, so they tell nothing about depth." in said(capture)
+
+
+def test_inverted_masks_are_suspected(capture):
+    (capture / "masks").mkdir()
+    mask = np.zeros((SIZE[1], SIZE[0]), np.uint8)
+    mask[:4] = 255
+    for name in NAMES:
+        Image.fromarray(mask).save(capture / "masks" / name)
+    found = examine(capture, sx.load_dataset(capture))
+    assert found.coverage["photo00.png"] == pytest.approx(4 / 48)
+    assert any("masks leave less than 20% of their photo" in what for what in said(capture))
+
+
+def test_captures_without_points_are_told_how_to_start(tmp_path):
+    found = problems(write_transforms(tmp_path / "capture"))
+    assert ("There are no points to start from.", "Train with --init random.") in [
+        (p.what, p.fix) for p in found
+    ]
+
+
+def test_memory_that_is_not_there_is_an_error(capture, monkeypatch):
+    monkeypatch.setattr("splatax.inspection.examination.available_memory", lambda: 10**8)
+    assert re.match(r"Training needs about 0.\d GB, but 0.1 GB are free here", said(capture)[0])
+
+
+def test_photos_are_looked_at_evenly_until_the_time_is_up(capture):
+    names = [f"{i:03}" for i in range(100)]
+    assert sorted(spread(names)) == names
+    assert list(spread(names))[:7] == ["000", "016", "032", "048", "064", "080", "096"]
+    paths = {name: capture / "images" / name for name in NAMES}
+    assert looks_of(paths, 0.0) == {}
+    assert list(looks_of(paths, 60.0)) == NAMES
+
+
+def test_an_outlier_does_not_hide_itself():
+    scores = robust_scores(np.array([1.0, 1.1, 0.9, 1.05, 0.95, 9.0]), 0.01)
+    assert scores[-1] > 50
+    assert np.abs(scores[:-1]).max() < 2
+
+
+def test_the_page_needs_nothing_else_and_escapes_names(capture):
+    evil = capture / "images" / "<script>alert(1)<.png"
+    evil.write_bytes((capture / "images" / "photo00.png").read_bytes())
+    found = examine(capture, sx.load_dataset(capture))
+    page = capture_page(found, problems_of(found))
+    assert "<script" not in page
+    assert "&lt;script&gt;alert(1)" in page
+    assert set(re.findall(r'src="(.{5})', page)) == {"data:"}
+    assert not re.findall(r'<link|url\(["\']?http|href="http', page)
+    assert page.count("<td>photo") == COUNT
+
+
+def test_up_in_the_picture_is_where_photos_have_their_top():
+    axes = np.array([[[1, 0, 0], [0, -1, 0], [0, 0, -1]]] * 3, float)  # right, down, forward
+    right, away, up = upright_frame(axes)
+    np.testing.assert_allclose(up, [0, 1, 0])
+    np.testing.assert_allclose(away, [0, 0, -1])
+    np.testing.assert_allclose(right, [1, 0, 0])

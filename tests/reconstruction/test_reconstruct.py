@@ -1,0 +1,193 @@
+"""From photos to poses: the corner of a room whose cameras are known, and photos that are no use."""
+
+import shutil
+import sys
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from PIL import Image
+
+import corner
+import splatax as sx
+from splatax.errors import DatasetError, InputError
+from splatax.reconstruction import diagnosis, pipeline, reconstruct
+
+
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory):
+    return corner.write_photos(tmp_path_factory.mktemp("corner") / "photos")
+
+
+@pytest.fixture(scope="module")
+def told():
+    return []
+
+
+@pytest.fixture(scope="module")
+def outcome(photos, tmp_path_factory, told):
+    out = tmp_path_factory.mktemp("corner") / "capture"
+    return out, reconstruct(photos, out, watch=lambda *stage: told.append(stage))
+
+
+def aligned(found, true):
+    """Positions after the similarity that brings them closest to the true ones (Umeyama 1991)."""
+    a, b = found - found.mean(0), true - true.mean(0)
+    u, s, vt = np.linalg.svd(b.T @ a)
+    flip = np.diag([1, 1, np.sign(np.linalg.det(u @ vt))])
+    return a @ (u @ flip @ vt).T * (s @ np.diag(flip)) / np.sum(a * a) + true.mean(0)
+
+
+def test_cameras_are_where_the_photos_were_taken(outcome):
+    out, result = outcome
+    dataset = sx.load_dataset(out)
+    assert len(dataset.views) == len(result.registered) == corner.COUNT
+    assert not result.rejected
+    positions = np.stack([np.asarray(view.camera.position) for view in dataset.views])
+    assert_allclose(aligned(positions, corner.positions()), corner.positions(), atol=0.03)  # of a span of 2.4
+    assert_allclose(dataset.views[0].camera.fx, corner.FOCAL, rtol=0.05)
+
+
+def test_the_capture_is_one_of_pinholes_with_the_original_names(outcome):
+    out, result = outcome
+    assert {path.name for path in out.iterdir()} == {"images", "sparse"}
+    dataset = sx.load_dataset(out)
+    assert [view.name for view in dataset.views] == [f"wall {i}.jpg" for i in range(corner.COUNT)]
+    assert all(lens.startswith("PINHOLE") for lens in dataset.survey.lenses.values())
+    errors = np.concatenate(list(dataset.survey.errors.values()))
+    assert np.median(errors) < 0.5  # pixels: points moved along with the undistorted photos
+    assert len(dataset.points) == result.points > 200
+
+
+def test_each_stage_tells_how_far_it_is(outcome, told):
+    stages = list(dict.fromkeys(stage for stage, _, _ in told))
+    assert stages == list(pipeline.STAGES)
+    assert all(0 <= done <= total for _, done, total in told)
+    assert [(done, total) for stage, done, total in told if stage == "writing"][-1] == (8, 8)
+
+
+def test_what_was_done_before_an_interruption_is_kept(photos, tmp_path, outcome, monkeypatch):
+    def interrupt(stage, done, total):
+        if stage == "poses":
+            raise KeyboardInterrupt
+
+    out = tmp_path / "capture"
+    with pytest.raises(KeyboardInterrupt):
+        reconstruct(photos, out, watch=interrupt)
+    assert not (out / "sparse").exists()
+    monkeypatch.setattr(pipeline.mapping.pycolmap, "extract_features", None)  # not needed again
+    monkeypatch.setattr(pipeline.mapping.pycolmap, "match_image_pairs", None)
+    again = reconstruct(photos, out)
+    assert again.registered == outcome[1].registered
+    assert again.points == outcome[1].points  # the same seed, the same order of photos
+
+
+def test_half_a_reconstruction_of_other_photos_is_not_gone_on_with(photos, tmp_path):
+    (tmp_path / pipeline.WORK).mkdir()
+    with pytest.raises(InputError, match="half a reconstruction that was started otherwise"):
+        reconstruct(photos, tmp_path)
+
+
+@pytest.mark.slow
+def test_photos_that_do_not_fit_are_named_with_the_reason(photos, tmp_path):
+    mixed = shutil.copytree(photos, tmp_path / "mixed")
+    elsewhere = corner.photograph((0, 0, 0), corner.wallpaper(seed=4))
+    Image.fromarray(elsewhere.astype(np.uint8)).save(mixed / "elsewhere.png")
+    Image.new("RGB", (400, 300), "gray").save(mixed / "wall.png")
+    (mixed / "broken.jpg").write_bytes((photos / "wall 0.jpg").read_bytes()[:5000])
+    (mixed / "text.jpg").write_text("no photo")
+    result = reconstruct(mixed, tmp_path / "capture")
+    assert len(result.registered) == corner.COUNT
+    assert result.rejected.keys() == {"elsewhere.png", "wall.png", "broken.jpg", "text.jpg"}
+    assert result.rejected["elsewhere.png"] == diagnosis.ALONE
+    assert result.rejected["wall.png"] == diagnosis.FEATURELESS
+    assert "is damaged" in result.rejected["broken.jpg"]
+    assert "not a photo" in result.rejected["text.jpg"]
+
+
+def test_photos_without_overlap_are_refused_with_advice(tmp_path):
+    rng = np.random.default_rng(0)
+    (tmp_path / "photos").mkdir()
+    for i in range(4):
+        noise = rng.integers(0, 255, (60, 80, 3), np.uint8)
+        Image.fromarray(noise).resize((400, 300)).save(tmp_path / "photos" / f"{i}.png")
+    with pytest.raises(DatasetError, match=r"only 0 of 4 photos fit together.*in smaller steps"):
+        reconstruct(tmp_path / "photos", tmp_path / "capture")
+    assert not (tmp_path / "capture" / "sparse").exists()
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_one_or_two_photos_are_too_few(photos, tmp_path, count):
+    (tmp_path / "photos").mkdir()
+    for i in range(count):
+        shutil.copy(photos / f"wall {i}.jpg", tmp_path / "photos")
+    with pytest.raises(DatasetError, match=f"{count} photos? to use, but depth needs at least 3"):
+        reconstruct(tmp_path / "photos", tmp_path / "capture")
+
+
+@pytest.mark.slow
+def test_photos_are_turned_upright_as_exif_says(photos, tmp_path):
+    (tmp_path / "photos").mkdir()
+    for path in photos.iterdir():
+        tags = Image.open(path).getexif()
+        tags[0x0112] = 6
+        Image.open(path).rotate(90, expand=True).save(tmp_path / "photos" / path.name, exif=tags, quality=95)
+    reconstruct(tmp_path / "photos", tmp_path / "capture")
+    view = sx.load_dataset(tmp_path / "capture").views[0]
+    assert view.camera.width > view.camera.height
+    rows = view.pixels()[20:-20, 20:-20]
+    assert rows.shape[1] > rows.shape[0]
+
+
+def test_photos_of_phones_in_heic_are_read(photos, tmp_path):
+    heif = pytest.importorskip("pillow_heif")
+    (tmp_path / "photos").mkdir()
+    image = Image.open(photos / "wall 0.jpg")
+    heif.from_pillow(image).save(tmp_path / "photos" / "IMG_1.HEIC", quality=90)
+    (photo,), damaged = pipeline.photos_in(tmp_path / "photos")
+    assert not damaged
+    assert photo.name == "IMG_1.HEIC.jpg"  # what it is saved as, for tools that read no HEIC
+    assert pipeline.read(photo).shape == (300, 400, 3)
+
+
+def test_heic_without_its_package_names_the_way_to_it(tmp_path, monkeypatch):
+    (tmp_path / "IMG_1.HEIC").write_bytes(b"x")
+    monkeypatch.setitem(sys.modules, "pillow_heif", None)
+    with pytest.raises(InputError, match=r"IMG_1.HEIC: .*splatax\[heic\]"):
+        pipeline.photos_in(tmp_path)
+
+
+def test_the_photos_themselves_are_never_in_the_way(photos, tmp_path):
+    capture = tmp_path / "capture"
+    shutil.copytree(photos, capture / "images")
+    with pytest.raises(InputError, match="its images/ holds the photos themselves"):
+        reconstruct(capture / "images", capture)
+    with pytest.raises(InputError, match="its images/ holds the photos themselves"):
+        pipeline.clear(capture / "images", capture)
+    with pytest.raises(InputError, match="lies among the photos"):
+        reconstruct(capture / "images", capture / "images" / "out")
+    assert len(list((capture / "images").iterdir())) == corner.COUNT
+
+
+def test_a_capture_is_not_replaced_unasked(photos, outcome):
+    with pytest.raises(InputError, match="holds a capture"):
+        reconstruct(photos, outcome[0])
+
+
+def test_the_focal_length_of_exif_is_by_the_diagonal(data):
+    """The fern's phone: 28 mm equivalent; its calibration says 407.57 pixels at 504 x 378."""
+    photo = pipeline.photos_in(data / "fern_photos")[0][0]
+    assert_allclose(photo.focal, 407.566 * 1512 / 504, rtol=2e-3)
+    assert photo.size == (1512, 1134)
+
+
+@pytest.mark.slow
+def test_all_photos_of_the_fern_are_registered(data, tmp_path):
+    result = reconstruct(data / "fern_photos", tmp_path / "capture")
+    assert len(result.registered) == 20
+    dataset = sx.load_dataset(tmp_path / "capture")
+    found = np.stack([np.asarray(view.camera.position) for view in dataset.views])
+    true = np.stack([np.asarray(view.camera.position) for view in sx.load_dataset(data / "fern").views])
+    span = np.linalg.norm(true - true.mean(0), axis=1).max()
+    assert np.linalg.norm(aligned(found, true) - true, axis=1).max() < 0.03 * span
+    assert_array_equal([view.name for view in dataset.views], sorted(result.registered))

@@ -1,0 +1,68 @@
+"""Frames of videos: sharp ones, upright."""
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy import ndimage
+
+import corner
+from splatax.errors import DatasetError, InputError
+from splatax.reconstruction import video
+from splatax.reconstruction.pipeline import gather
+
+av = pytest.importorskip("av")
+
+
+def write_video(path, count=30, sharp=lambda i: i % 10 == 4):
+    """Frames 160 x 120 of a moving pattern, blurred but for some."""
+    paper = corner.wallpaper()
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("mpeg4", rate=30)
+        stream.width, stream.height, stream.pix_fmt, stream.bit_rate = 160, 120, "yuv420p", 4_000_000
+        for i in range(count):
+            crop = paper[100:220, 5 * i : 5 * i + 160]
+            crop = crop if sharp(i) else ndimage.gaussian_filter(crop, (3, 3, 0))
+            frame = av.VideoFrame.from_ndarray(crop.astype(np.uint8), format="rgb24")
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+    return path
+
+
+def test_the_sharpest_frame_of_each_stretch_is_taken(tmp_path):
+    told = []
+    path = write_video(tmp_path / "walk.mp4")
+    video.pick_frames(path, tmp_path / "frames", 3, lambda *far: told.append(far))
+    assert sorted(p.name for p in (tmp_path / "frames").iterdir()) == [
+        "frame_000004.jpg",
+        "frame_000014.jpg",
+        "frame_000024.jpg",
+    ]
+    assert told[-1] == (30, 30)
+    assert Image.open(tmp_path / "frames" / "frame_000004.jpg").size == (160, 120)
+
+
+def test_a_short_video_gives_all_its_frames(tmp_path):
+    path = write_video(tmp_path / "walk.mp4", count=4)
+    video.pick_frames(path, tmp_path / "frames", 100, lambda *far: None)
+    assert len(list((tmp_path / "frames").iterdir())) == 4
+
+
+def test_frames_are_photos_to_reconstruct_from(tmp_path):
+    (tmp_path / "work").mkdir()
+    photos, damaged = gather(write_video(tmp_path / "walk.mp4"), tmp_path / "work", 5, lambda *far: None)
+    assert len(photos) == 5
+    assert not damaged
+    assert len({photo.device for photo in photos}) == 1  # one camera
+
+
+@pytest.mark.parametrize("contents", [b"", b"no video", bytes(5000)])
+def test_what_is_no_video(tmp_path, contents):
+    (tmp_path / "walk.mp4").write_bytes(contents)
+    with pytest.raises(DatasetError, match=r"walk.mp4: the video cannot be read"):
+        video.pick_frames(tmp_path / "walk.mp4", tmp_path / "frames", 5, lambda *far: None)
+
+
+def test_without_the_package_the_way_to_it_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "av", None)
+    with pytest.raises(InputError, match=r"splatax\[video\]"):
+        video.pick_frames(write_video(tmp_path / "walk.mp4"), tmp_path / "frames", 5, lambda *far: None)

@@ -1,0 +1,68 @@
+"""Runs that are planned for a time."""
+
+import jax
+import pytest
+
+from splatax.budget import FEWEST_STEPS, Changes, Clock, Costs, measured, parse_seconds, plan
+from splatax.training.recipes import Recipe
+
+FAST, SLOW = Costs(0.010, 2e-7), Costs(0.020, 8e-7)
+
+
+def test_times_are_read_with_their_units():
+    assert [parse_seconds(text) for text in ("90s", "5min", "1.5 h", "2m")] == [90, 300, 5400, 120]
+
+
+@pytest.mark.parametrize("text", ["", "5", "min", "-3s", "0s", "1 fortnight"])
+def test_what_is_no_time_is_refused(text):
+    with pytest.raises(ValueError, match="a time such as 90s"):
+        parse_seconds(text)
+
+
+@pytest.mark.parametrize("seconds", [30, 300, 3600])
+@pytest.mark.parametrize("costs", [FAST, SLOW])
+def test_a_plan_takes_the_time_that_it_is_given(costs, seconds):
+    chosen = plan(costs, seconds, first=10_000, room=100_000)
+    spent = costs.run(chosen.steps, 10_000, chosen.max_gaussians)
+    one_more = costs.run(chosen.steps + 1, 10_000, chosen.max_gaussians + 40)
+    assert spent <= seconds < one_more
+
+
+def test_more_time_is_more_steps_and_more_gaussians_up_to_what_there_is_room_for():
+    plans = [plan(SLOW, seconds, first=10_000, room=100_000) for seconds in (20, 60, 600)]
+    assert plans[0].steps < plans[1].steps < plans[2].steps
+    assert plans[0].max_gaussians < plans[1].max_gaussians <= plans[2].max_gaussians == 100_000
+
+
+def test_a_number_of_gaussians_that_is_given_is_kept():
+    assert plan(SLOW, 60, first=10_000, room=100_000, most=30_000).max_gaussians == 30_000
+
+
+def test_too_little_time_still_makes_some_steps():
+    assert plan(SLOW, 0.1, first=10_000, room=100_000).steps == FEWEST_STEPS
+
+
+@pytest.mark.parametrize("factor", [0.6, 1.0, 1.7])
+def test_a_run_ends_in_time_whatever_the_plan_took_the_speed_for(factor):
+    clock = Clock(seconds=60.0)
+    total, seconds, step = 1000, 0.0, 0
+    while step < total:
+        step += 1
+        seconds += 0.06 * factor * (min(step / 333, 1) * 0.8 + 0.2)  # dearer while the scene grows
+        if clock.due(step, total):
+            clock.note(step, total, seconds)
+        total = clock(step) or total
+    assert seconds == pytest.approx(60.0, rel=0.1)
+
+
+def test_changes_repeat_without_a_clock():
+    changes = Changes([(3, 8), (5, 6)])
+    assert [changes(step) for step in range(1, 7)] == [None, None, 8, None, 6, None]
+    assert not changes.due(3, 8)
+
+
+def test_steps_of_this_machine_are_measured():
+    with jax.numpy_dtype_promotion("standard"):  # as optax needs it
+        costs = measured((40, 30), Recipe(backend="xla"))
+    assert costs.base > 0
+    assert costs.each >= 0

@@ -1,0 +1,130 @@
+// The page: a scene, the ways to look at it, and the buttons for them.
+import { Controls } from './controls.js';
+import { Glide, Path, Turntable } from './motion.js';
+import { Pose } from './pose.js';
+import { Stage } from './stage.js';
+
+const LONGEST_FRAME = 0.1; // seconds: motion does not jump after a pause
+const GLIDE = matchMedia('(prefers-reduced-motion: reduce)').matches ? 0 : 0.8; // seconds from camera to camera
+const find = (id) => document.getElementById(id);
+const page = JSON.parse(find('page').textContent);
+const cameras = page.cameras.map((camera) => Pose.of(camera));
+const start = Pose.of(page.start);
+
+class Viewer {
+  pose = start.clone();
+  motion = null;
+  shown = page.start.camera; // index of the camera that one looks through; -1 for none
+  settled = false; // whether the picture is final
+
+  constructor() {
+    this.stage = new Stage(find('view'), page);
+    this.controls = new Controls(find('view'), () => this.#takeOver());
+  }
+
+  async open(scene) {
+    await this.stage.load(scene);
+    let before = performance.now();
+    let idle = 0;
+    const frame = (now) => {
+      const moving = this.#advance(Math.min((now - before) / 1000, LONGEST_FRAME));
+      before = now;
+      idle = moving ? 0 : idle + 1;
+      this.stage.draw(this.pose, idle < 6);
+      this.settled = this.stage.settled;
+      if (this.settled) find('loading').hidden = true;
+      requestAnimationFrame(frame);
+    };
+    requestAnimationFrame(frame);
+  }
+
+  /** Goes to the camera of that index; past the last comes the first. */
+  show(index) {
+    this.shown = (index + cameras.length) % cameras.length;
+    this.#move(new Glide(this.pose, cameras[this.shown], GLIDE));
+  }
+
+  reset() {
+    this.shown = page.start.camera;
+    this.#move(new Glide(this.pose, start, GLIDE));
+  }
+
+  play() {
+    if (this.playing) return this.#move(null);
+    this.shown = -1;
+    this.#move(cameras.length > 1 ? new Path(cameras) : new Turntable());
+  }
+
+  get playing() {
+    return this.motion instanceof Path || this.motion instanceof Turntable;
+  }
+
+  setMode(mode) {
+    this.controls.mode = mode;
+    update();
+  }
+
+  #move(motion) {
+    this.controls.stop();
+    this.motion = motion;
+    update();
+  }
+
+  #takeOver() {
+    this.motion = null;
+    this.shown = -1;
+    find('hint').hidden = true;
+    update();
+  }
+
+  #advance(seconds) {
+    if (!this.motion) return this.controls.advance(this.pose, seconds);
+    this.pose = this.motion.advance(this.pose, seconds);
+    if (this.motion.done) this.motion = null;
+    return true;
+  }
+}
+
+/** Makes the buttons say what is. */
+function update() {
+  find('play').setAttribute('aria-pressed', viewer.playing);
+  find('mode').setAttribute('aria-pressed', viewer.controls.mode === 'fly');
+  find('mode-name').textContent = viewer.controls.mode === 'fly' ? 'Fly' : 'Orbit';
+  if (find('cameras')) find('cameras').value = viewer.shown;
+}
+
+const ACTIONS = {
+  previous: () => cameras.length && viewer.show(viewer.shown < 0 ? cameras.length - 1 : viewer.shown - 1),
+  next: () => cameras.length && viewer.show(viewer.shown + 1),
+  play: () => viewer.play(),
+  mode: () => viewer.setMode(viewer.controls.mode === 'fly' ? 'orbit' : 'fly'),
+  reset: () => viewer.reset(),
+  fullscreen: () => (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen()),
+  help: () => (find('help-text').open ? find('help-text').close() : find('help-text').showModal()),
+  hide: () => document.body.classList.toggle('bare'),
+};
+const KEYS = {
+  ',': 'previous', '.': 'next', ' ': 'play', o: 'mode', r: 'reset', f: 'fullscreen', '?': 'help', h: 'hide',
+}; // prettier-ignore
+
+const viewer = new Viewer();
+for (const [name, action] of Object.entries(ACTIONS)) {
+  find(name)?.addEventListener('click', action);
+}
+if (!document.fullscreenEnabled) find('fullscreen').hidden = true; // on iPhones
+addEventListener('keydown', (event) => {
+  const name = KEYS[event.key.toLowerCase()];
+  const elsewhere = event.target.closest?.('select') || (event.key === ' ' && event.target.closest?.('button'));
+  if (!name || elsewhere || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (find('help-text').open && name !== 'help') return;
+  event.preventDefault();
+  ACTIONS[name]();
+});
+find('cameras')?.addEventListener('change', (event) => viewer.show(Number(event.target.value)));
+find('quality').addEventListener('change', (event) => (viewer.stage.quality = event.target.value));
+find('help-text').addEventListener('click', (event) => event.target === find('help-text') && ACTIONS.help());
+find('view').addEventListener('webglcontextlost', () => window.failed('The browser lost the graphics device. Reload the page.'));
+
+update();
+window.viewer = viewer;
+window.scene.then((bytes) => viewer.open(bytes)).catch((error) => window.failed(error));

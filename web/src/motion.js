@@ -1,0 +1,65 @@
+// Motions that play by themselves. Each has advance(pose, seconds) -> the next pose, and `done`.
+import { Vector3 } from 'three';
+import { blend } from './pose.js';
+
+const TURNTABLE = 0.25; // radians a second
+const LONGEST = 60; // seconds that a path may take
+const NEAR = 3; // steps: ends of a path that are as near are joined
+const UP = new Vector3(0, 1, 0);
+
+/** From where one is to a pose, within some seconds. */
+export class Glide {
+  constructor(start, end, duration) {
+    Object.assign(this, { start: start.clone(), end, duration, seconds: 0, done: false });
+  }
+
+  advance(_, seconds) {
+    this.seconds += seconds;
+    this.done = this.seconds >= this.duration;
+    const t = this.seconds / this.duration;
+    const eased = t * t * (3 - 2 * t);
+    return this.done ? this.end.clone() : blend([this.start, this.end], [1 - eased, eased]);
+  }
+}
+
+/** Through cameras, smoothly: a uniform cubic B-spline of their poses, round and round or to and fro. */
+export class Path {
+  constructor(poses) {
+    const steps = poses.slice(1).map((pose, i) => pose.position.distanceTo(poses[i].position));
+    const median = steps.toSorted((a, b) => a - b)[steps.length >> 1];
+    const gap = poses[0].position.distanceTo(poses.at(-1).position);
+    this.poses = poses;
+    this.closed = poses.length > 4 && gap < NEAR * median;
+    this.pace = Math.min(LONGEST / poses.length, 1.2); // seconds from camera to camera
+    this.seconds = 0;
+    this.done = false;
+  }
+
+  advance(_, seconds) {
+    this.seconds += seconds;
+    return this.at(this.seconds / this.pace);
+  }
+
+  /** At a fractional camera. */
+  at(u) {
+    const n = this.poses.length;
+    const index = (i) => (this.closed ? (i + n) % n : Math.min(Math.max(i, 0), n - 1));
+    if (!this.closed) u = n - 1 - Math.abs((u % (2 * n - 2)) - (n - 1));
+    const i = Math.floor(u);
+    const t = u - i;
+    const weights = [(1 - t) ** 3, 3 * t ** 3 - 6 * t ** 2 + 4, -3 * t ** 3 + 3 * t ** 2 + 3 * t + 1, t ** 3];
+    const near = [-1, 0, 1, 2].map((k) => this.poses[index(i + k)]);
+    return blend(near, weights.map((weight) => weight / 6));
+  }
+}
+
+/** Round what is in the middle. */
+export class Turntable {
+  done = false;
+
+  advance(pose, seconds) {
+    const next = pose.clone();
+    next.turn(next.pivot, UP, TURNTABLE * seconds);
+    return next;
+  }
+}

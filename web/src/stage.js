@@ -1,0 +1,124 @@
+// The scene on a canvas: three.js's renderer, Spark's splats.
+import { SparkRenderer, SplatMesh } from '@sparkjsdev/spark';
+import { Color, PerspectiveCamera, Scene, SRGBColorSpace, WebGLRenderer } from 'three';
+import { project } from './pose.js';
+
+const FAR = 1e5; // for clipping alone: splats are sorted, not depth-tested
+const SHARPEST = 2; // device pixels for a CSS pixel
+export const QUALITIES = { high: 1, medium: 0.7, low: 0.45 }; // of the device's pixels, along each axis
+const SLOW = 45; // milliseconds a frame; "auto" then draws fewer pixels while something moves
+
+export class Stage {
+  quality = 'auto';
+  settled = false; // whether the picture is final for the last pose
+  #reduced = 1; // what "auto" has come to
+  #frames = [];
+  #drawn = '';
+  #size = '';
+  #fence = null; // passed when the device has drawn the last frame
+  #began = 0;
+
+  constructor(canvas, { background, lowPass, near }) {
+    this.near = near;
+    this.renderer = new WebGLRenderer({ canvas, antialias: false, powerPreference: 'high-performance' });
+    this.scene = new Scene();
+    this.scene.background = new Color().setRGB(...background, SRGBColorSpace);
+    this.camera = new PerspectiveCamera();
+    this.camera.matrixWorldAutoUpdate = false;
+    // As splatax draws: sorted by depth, footprints down to 1/255 and of any size, in 32-bit positions.
+    this.spark = new SparkRenderer({
+      renderer: this.renderer,
+      preBlurAmount: lowPass.dilation,
+      blurAmount: lowPass.antialiasing,
+      sortRadial: false,
+      maxStdDev: Math.sqrt(2 * Math.log(255)),
+      minAlpha: 1 / 255,
+      maxPixelRadius: 1e4,
+      accumExtSplats: true,
+      enableLod: false,
+      onDirty: () => (this.dirty = true),
+    });
+    this.scene.add(this.spark);
+  }
+
+  /** Shows an SPZ file. */
+  async load(fileBytes) {
+    const mesh = new SplatMesh({ fileBytes, fileType: 'spz', extSplats: true, lod: false, raycastable: false });
+    await mesh.initialized;
+    this.scene.add(mesh);
+    this.dirty = true;
+  }
+
+  /**
+   * Draws if something has changed: the pose, the window, or Spark has sorted anew. Leaves it for
+   * the next frame while the device is still busy with the last one: input then never lags behind.
+   */
+  draw(pose, moving) {
+    const { clientWidth: width, clientHeight: height } = this.renderer.domElement;
+    const ratio = this.#pixelRatio(moving);
+    const state = JSON.stringify([width, height, ratio, moving, pose]);
+    const changed = state !== this.#drawn;
+    this.settled = !changed && !moving && !this.dirty && !this.#busy(moving) && this.#sorted();
+    if (!(changed || this.dirty) || !width || !height || this.#busy(moving)) return;
+    this.#resize(width, height, ratio);
+    this.#place(pose, width / height);
+    this.dirty = false;
+    this.#drawn = state;
+    if (!moving && changed) this.spark.update(this); // sorts even after the smallest turn
+    this.renderer.render(this.scene, this.camera);
+    const gl = this.renderer.getContext();
+    this.#fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    this.#began = performance.now();
+    gl.flush();
+  }
+
+  /** Whether the device still draws the last frame. */
+  #busy(moving) {
+    if (!this.#fence) return false;
+    const gl = this.renderer.getContext();
+    if (gl.getSyncParameter(this.#fence, gl.SYNC_STATUS) !== gl.SIGNALED) return true;
+    gl.deleteSync(this.#fence);
+    this.#fence = null;
+    if (moving) this.#judge(performance.now() - this.#began);
+    return false;
+  }
+
+  #sorted() {
+    return !this.spark.sorting && !this.spark.sortDirty && this.spark.activeSplats > 0;
+  }
+
+  #resize(width, height, ratio) {
+    const size = `${width} ${height} ${ratio}`;
+    if (size === this.#size) return;
+    this.#size = size;
+    this.renderer.setPixelRatio(ratio);
+    this.renderer.setSize(width, height, false);
+  }
+
+  #place(pose, aspect) {
+    const { camera } = this;
+    camera.position.copy(pose.position);
+    camera.quaternion.copy(pose.quaternion);
+    camera.updateMatrix();
+    camera.matrixWorld.copy(camera.matrix);
+    camera.matrixWorldInverse.copy(camera.matrixWorld).invert();
+    camera.near = this.near;
+    camera.far = FAR;
+    project(camera.projectionMatrix, pose.lens, aspect, this.near, FAR);
+    camera.projectionMatrixInverse.copy(camera.projectionMatrix).invert();
+  }
+
+  #pixelRatio(moving) {
+    const share = this.quality === 'auto' ? (moving ? this.#reduced : 1) : QUALITIES[this.quality];
+    return Math.min(devicePixelRatio, SHARPEST) * share;
+  }
+
+  /** Draws fewer pixels while frames take long. */
+  #judge(milliseconds) {
+    this.#frames.push(milliseconds);
+    if (this.#frames.length < 12) return;
+    const median = this.#frames.sort((a, b) => a - b)[6];
+    this.#frames = [];
+    if (median > SLOW) this.#reduced = Math.max(this.#reduced * 0.7, QUALITIES.low);
+  }
+}

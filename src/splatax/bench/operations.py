@@ -16,8 +16,9 @@ from splatax.projection import project
 from splatax.rendering import render
 from splatax.training import optimizer
 from splatax.training.feed import Batch
+from splatax.training.loop import first_state
 from splatax.training.recipes import Recipe
-from splatax.training.step import TrainState, train_step
+from splatax.training.step import train_step
 
 Operation = Callable[[], Any]  # returns arrays to wait for
 BACKWARD = " F+B"  # forward and backward
@@ -113,15 +114,8 @@ def adam(scene: Scene) -> Operation:
 def step(scene: Scene, recipe: Recipe) -> Operation:
     """A whole step of training: projection, rasterizer, loss, all gradients, Adam."""
     gaussians = jax.tree.map(jnp.array, scene.gaussians)
-    state = TrainState(
-        step=jnp.int32(0),
-        total=jnp.int32(1_000_000),
-        gaussians=gaussians,
-        opt_state=optimizer.ADAM.init(gaussians),
-        density_state=recipe.density.init(len(gaussians)),
-        key=jax.random.key(0),
-        extent=jnp.float32(1e-6),  # so that the means stay, and each step does the same work
-    )
+    # A small extent, so that the means stay, and each step does the same work.
+    state = first_state(gaussians, recipe, extent=1e-6, photos=1)
     _, photo = images(scene.camera.height, scene.camera.width)
     batch = Batch(scene.camera, jnp.round(photo * 255).astype(jnp.uint8))
     carried = [state]

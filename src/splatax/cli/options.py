@@ -14,11 +14,15 @@ from splatax import rasterizers
 from splatax.errors import InputError
 from splatax.io import formats
 from splatax.projection import LOW_PASSES, LowPass
+from splatax.training.appearance import APPEARANCES
 from splatax.training.backgrounds import BACKGROUNDS
+from splatax.training.refinement import REFINEMENTS
 
 Downscale = Literal["auto"] | int
 BackendName = Literal["auto", *rasterizers.BACKENDS]  # type: ignore[valid-type]
 BackgroundName = Literal[*BACKGROUNDS]  # type: ignore[valid-type]
+AppearanceName = Literal[*APPEARANCES]  # type: ignore[valid-type]
+RefinementName = Literal[*REFINEMENTS]  # type: ignore[valid-type]
 LowPassName = Literal[*LOW_PASSES]  # type: ignore[valid-type]
 
 

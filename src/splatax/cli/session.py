@@ -66,8 +66,8 @@ def train(
     start: RunState | None = None,
     changes: Changes | None = None,
     audience: Audience | None = None,
-) -> sx.Gaussians:
-    """Trains with a progress bar, evaluations, pictures of one view and checkpoints.
+) -> sx.Progress:
+    """Trains with a progress bar, evaluations, pictures of one view and checkpoints; returns the end.
 
     Ctrl-C ends training after the step at hand, with what has been reached until then.
 
@@ -118,7 +118,7 @@ def train(
                 break
         progress.loss.block_until_ready()
         history.train_seconds = watch.seconds()
-    return progress.gaussians
+    return progress
 
 
 @cache

@@ -14,10 +14,12 @@ from splatax.budget import Changes, Clock, measured, parse_seconds, plan
 from splatax.cli.checkpoints import Checkpoints, unpacked
 from splatax.cli.display import duration
 from splatax.cli.options import (
+    AppearanceName,
     BackendName,
     BackgroundName,
     Downscale,
     LowPassName,
+    RefinementName,
     load_scene,
     resolve_backend,
 )
@@ -26,11 +28,14 @@ from splatax.cli.resume import Earlier, facts, find
 from splatax.cli.session import claim, train
 from splatax.cli.view import audience
 from splatax.errors import InputError
+from splatax.io.datasets import colmap_writing
 from splatax.projection import LOW_PASSES
 from splatax.report.history import History
+from splatax.training.appearance import APPEARANCES
 from splatax.training.backgrounds import BACKGROUNDS
 from splatax.training.initialize import InFrusta
 from splatax.training.recipes import RECIPES, room_for
+from splatax.training.refinement import REFINEMENTS, Given, refined
 from splatax.viewer.server import LOCAL, PORT
 
 WATCHING = {"view", "host", "port"}
@@ -74,6 +79,13 @@ class Train:
     "default", else black."""
     low_pass: LowPassName = "dilation"
     """What keeps thin Gaussians visible. "antialiasing" also keeps their brightness from afar."""
+    appearance: AppearanceName = "none"
+    """What may differ between photos. "exposure": exposure and white balance, an affine map of colours for
+    each. The scene has the colours of their mean; held-out photos are compared as they are, and once more
+    after a correction of colour."""
+    refine: RefinementName = "none"
+    """What to improve of the training cameras: "poses", or "poses+focal". Then writes them to
+    refined/sparse/0. Held-out photos keep the cameras they were given."""
     backend: BackendName = "auto"
     """Rasterizer. One asked for by name is never replaced by another."""
     seed: int = 0
@@ -178,10 +190,9 @@ class Train:
             print(f"going on after step {history.steps:,} of {int(state.train.total):,}")
         watched = audience(dataset, recipe, self.host, self.port) if self.view else nullcontext()
         with checkpoints, watched as watchers:
-            gaussians = train(
-                dataset, recipe, self.eval_every, checkpoints, history, state, changes, watchers
-            )
-            conclude(Run(scene.resolve().name, dataset, recipe, history, gaussians, options, out))
+            last = train(dataset, recipe, self.eval_every, checkpoints, history, state, changes, watchers)
+            conclude(Run(scene.resolve().name, dataset, recipe, history, last.gaussians, options, out))
+            keep_cameras(out, dataset, recipe, last)
         if history.interrupted:
             print(f"stopped at step {history.steps:,}. Go on: splatax train --resume {out}")
         else:
@@ -239,6 +250,8 @@ class Train:
             recipe,
             initialization=start,
             background=BACKGROUNDS[self.background] if self.background else recipe.background,
+            appearance=APPEARANCES[self.appearance],
+            refinement=REFINEMENTS[self.refine],
             low_pass=LOW_PASSES[self.low_pass],
             backend=resolve_backend(self.backend),
             seed=self.seed,
@@ -259,6 +272,16 @@ def finished(run: Path) -> tuple[dict[str, Any], list[tuple[int, int]]]:
         raise InputError(
             f"{path}: not the config.json of a finished run ({error}). Name its folder."
         ) from error
+
+
+def keep_cameras(out: Path, dataset: sx.Dataset, recipe: sx.Recipe, last: sx.Progress) -> None:
+    """Writes the cameras as a COLMAP model if they were refined, those of held-out photos as given."""
+    if isinstance(recipe.refinement, Given):
+        return
+    state = last.state.train
+    found = refined(recipe.refinement, state.cameras, dataset.train, state.extent)
+    colmap_writing.save(out / "refined", (*found, *dataset.test), dataset.points)
+    print(f"cameras {out / 'refined' / colmap_writing.PLACE}")
 
 
 def conclude(run: Run) -> None:

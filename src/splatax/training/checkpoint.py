@@ -29,6 +29,7 @@ from splatax.training.step import TrainState
 
 HEADER = "header"  # name of its member
 STATE = "state/"  # what the names of the run's arrays start with
+PER_PHOTO = ("appearance/visits", "cameras/visits", "cameras/poses/visits")  # arrays with a row for each
 DAMAGES = (  # what reading a damaged file may raise
     zipfile.BadZipFile,
     zlib.error,
@@ -151,14 +152,18 @@ def name_of(path: tuple[Any, ...]) -> str:
 
 def _shapes(stored: Mapping[str, np.ndarray], recipe: Recipe) -> TrainState:
     """The state that a run by this recipe has when its scene is as large as the stored one."""
-    means = stored.get(STATE + "gaussians/means", np.zeros((0, 3), np.float32))
-    rows = means.shape[0] if means.ndim else 0
+    rows = _rows(stored, "gaussians/means")
+    photos = max(_rows(stored, name) for name in PER_PHOTO)
 
     def empty(*shape: int):
         return jax.ShapeDtypeStruct((rows, *shape), jnp.float32)
 
     gaussians = Gaussians(empty(3), empty(4), empty(3), empty(), empty(harmonics.count(recipe.sh_degree), 3))
-    return jax.eval_shape(partial(first_state, recipe=recipe, extent=1.0), gaussians)
+    return jax.eval_shape(partial(first_state, recipe=recipe, extent=1.0, photos=photos), gaussians)
+
+
+def _rows(stored: Mapping[str, np.ndarray], name: str) -> int:
+    return next((len(array) for path, array in stored.items() if path == STATE + name and array.ndim), 0)
 
 
 def _plain(leaf: Any) -> Any:

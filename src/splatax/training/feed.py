@@ -3,11 +3,12 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import count, islice
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, UInt8
+from jaxtyping import Array, Bool, Int, UInt8
 
 from splatax.camera import Camera
 from splatax.dataset import Mask, Pixels, View, mask_of
@@ -15,14 +16,26 @@ from splatax.errors import DatasetError
 from splatax.training.resolution import Resolution, divided
 
 
+class Source(NamedTuple):
+    """Which photo a batch shows, and which lens took it: their numbers, from 0."""
+
+    view: Int[Array, ""] | np.int32
+    lens: Int[Array, ""] | np.int32
+
+
+FIRST = Source(np.int32(0), np.int32(0))
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Batch:
-    """One view: its camera, its photo as 8-bit RGB or RGBA, and which pixels count (None: all)."""
+    """One view: its camera, its photo as 8-bit RGB or RGBA, which pixels count (None: all), and which
+    of the training views it is."""
 
     camera: Camera
     photo: UInt8[Array, "h w c"]
     mask: Bool[Array, "h w"] | None = None
+    source: Source = FIRST
 
 
 def batches(
@@ -38,6 +51,7 @@ def batches(
     """
     decoded: dict[int, tuple[Pixels, Mask | None]] = {}
     smaller: dict[tuple[int, int], Batch] = {}
+    origin = sources(views)
     indices = islice(order(len(views), seed, start // len(views)), start % len(views), None)
     for step, index in enumerate(indices, start + 1):
         view, divisor = views[index], resolution.divisor(step)
@@ -45,16 +59,28 @@ def batches(
             decoded[index] = checked(view), mask_of(view)
         if divisor == 1:
             smaller.clear()
-            yield batch(view.camera, *decoded[index])
+            yield batch(view.camera, *decoded[index], origin[index])
             continue
         if (index, divisor) not in smaller:
-            smaller[index, divisor] = batch(*divided(view.camera, *decoded[index], divisor))
+            smaller[index, divisor] = batch(*divided(view.camera, *decoded[index], divisor), origin[index])
         yield smaller[index, divisor]
 
 
-def batch(camera: Camera, photo: Pixels, mask: Mask | None) -> Batch:
+def batch(camera: Camera, photo: Pixels, mask: Mask | None, source: Source) -> Batch:
     """A view on the device."""
-    return Batch(camera, jnp.asarray(photo), None if mask is None else jnp.asarray(mask))
+    return Batch(camera, jnp.asarray(photo), None if mask is None else jnp.asarray(mask), source)
+
+
+def sources(views: Sequence[View]) -> list[Source]:
+    """Of each view. Photos share a lens if their cameras have the same intrinsics and size."""
+    lenses: dict[tuple[float, ...], int] = {}
+    found = []
+    for index, view in enumerate(views):
+        camera = view.camera
+        numbers = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
+        lens = lenses.setdefault(tuple(float(number) for number in numbers), len(lenses))
+        found.append(Source(np.int32(index), np.int32(lens)))
+    return found
 
 
 def order(views: int, seed: int, epoch: int) -> Iterator[int]:

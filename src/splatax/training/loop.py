@@ -102,12 +102,12 @@ def optimize(
         gaussians = recipe.initialization(dataset, recipe.sh_degree, recipe.seed)
         require_visible(gaussians, dataset)
         padded = pad(gaussians, bucket_for(len(gaussians)))
-        start = RunState(first_state(padded, recipe, dataset.extent), len(gaussians))
+        start = RunState(first_state(padded, recipe, dataset.extent, len(dataset.train)), len(gaussians))
     yield from _steps(dataset, recipe, start, pace or (lambda step: None))
 
 
-def first_state(gaussians: Gaussians, recipe: Recipe, extent: float) -> TrainState:
-    """Before any step, from a padded scene."""
+def first_state(gaussians: Gaussians, recipe: Recipe, extent: float, photos: int) -> TrainState:
+    """Before any step, from a padded scene and so many photos."""
     key, _ = _keys(recipe)
     return TrainState(
         step=jnp.int32(0),
@@ -115,6 +115,8 @@ def first_state(gaussians: Gaussians, recipe: Recipe, extent: float) -> TrainSta
         gaussians=gaussians,
         opt_state=optimizer.ADAM.init(gaussians),
         density_state=recipe.density.init(len(gaussians)),
+        appearance=recipe.appearance.init(photos),
+        cameras=recipe.refinement.init(photos),
         key=key,
         extent=jnp.float32(extent),
     )

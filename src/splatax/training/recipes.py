@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from splatax.dataset import Dataset
 from splatax.losses import Photometric
 from splatax.projection import Dilation, LowPass
+from splatax.training.appearance import Appearance, Neutral
 from splatax.training.backgrounds import Background, Random, Solid
 from splatax.training.density import ByStep, Classic, DensityStrategy, Mcmc
 from splatax.training.initialize import FromPoints, InFrusta
 from splatax.training.noise import Langevin, Noise, Still
 from splatax.training.optimizer import LearningRates
 from splatax.training.priors import Indifferent, Prior, Sparsity
+from splatax.training.refinement import Given, Refinement
 from splatax.training.resolution import Resolution
 
 
@@ -27,6 +29,8 @@ class Recipe:
     learning_rates: LearningRates = LearningRates()
     noise: Noise = Still()
     density: DensityStrategy = Classic()
+    appearance: Appearance = Neutral()
+    refinement: Refinement = Given()  # of the training cameras
     resolution: Resolution = Resolution()
     sh_degree: int = 3  # 0 to 4
     sh_every: int = 1_000  # steps after which the next band of spherical harmonics is free

@@ -31,6 +31,8 @@ class TrainState:
         gaussians: the scene, the living first, then empty slots.
         opt_state: Adam's.
         density_state: of the density strategy.
+        appearance: what is learned of the photos' colours.
+        cameras: what is learned of the photos' cameras.
         key: what all randomness of the run comes from.
         extent: of the scene, world units.
     """
@@ -40,6 +42,8 @@ class TrainState:
     gaussians: Gaussians
     opt_state: optax.OptState
     density_state: Any
+    appearance: Any
+    cameras: Any
     key: PRNGKeyArray
     extent: Float[Array, ""]
 
@@ -61,17 +65,21 @@ def _train_step(
     background = recipe.background.sample(background_key)
     photo = photo_over(batch.photo, background)
 
-    def image_loss(splats):
+    def image_loss(splats, look):
         sums, alpha = rasterizers.composite(splats, splats.colors, backend=recipe.backend)
-        return recipe.loss(over(sums, alpha, background), photo, batch.mask, backend=recipe.backend)
+        image = over(recipe.appearance(look, sums, alpha), alpha, background)
+        return recipe.loss(image, photo, batch.mask, backend=recipe.backend)
 
-    def project_view(gaussians):
-        splats = project(gaussians, batch.camera, low_pass=recipe.low_pass, backend=recipe.backend)
+    def project_view(gaussians, pose):
+        camera = recipe.refinement(pose, batch.camera, state.extent)
+        splats = project(gaussians, camera, low_pass=recipe.low_pass, backend=recipe.backend)
         return recipe.density.watch(splats), recipe.prior(gaussians, state.extent)
 
-    (splats, prior), pull_back = jax.vjp(project_view, state.gaussians)
-    loss, d_splats = jax.value_and_grad(image_loss)(splats)
-    (gradients,) = pull_back((d_splats, jnp.ones_like(prior)))
+    look = recipe.appearance.of(state.appearance, batch.source)
+    pose = recipe.refinement.of(state.cameras, batch.source)
+    (splats, prior), pull_back = jax.vjp(project_view, state.gaussians, pose)
+    loss, (d_splats, d_look) = jax.value_and_grad(image_loss, argnums=(0, 1))(splats, look)
+    gradients, d_pose = pull_back((d_splats, jnp.ones_like(prior)))
 
     gradients = optimizer.without_locked_bands(gradients, state.step, sh_every)
     progress = state.step / state.total
@@ -79,12 +87,15 @@ def _train_step(
     gaussians, opt_state = optimizer.update(state.gaussians, gradients, state.opt_state, rates)
     gaussians = lax.optimization_barrier(gaussians)
     gaussians = recipe.noise(gaussians, rates.means[0, 0], state.extent, noise_key)
+    total = state.total.astype(jnp.float32)
     return replace(
         state,
         step=state.step + 1,
         gaussians=gaussians,
         opt_state=opt_state,
         density_state=recipe.density.observe(state.density_state, splats, d_splats),
+        appearance=recipe.appearance.update(state.appearance, batch.source, d_look, progress),
+        cameras=recipe.refinement.update(state.cameras, batch.source, d_pose, progress, total),
     ), loss
 
 

@@ -1,0 +1,53 @@
+"""Writes cameras and points as a COLMAP model, which the loader beside this file reads back."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from splatax.camera import Camera
+from splatax.dataset import PointCloud, View
+
+PLACE = Path("sparse/0")  # of a model, in the folder of a capture
+
+
+def save(folder: Path, views: Iterable[View], points: PointCloud) -> None:
+    """Writes FOLDER/sparse/0/{cameras,images,points3D}.bin, in place of what is there.
+
+    The photos are not written. Points have no observations. Cameras that have the same numbers are one
+    to COLMAP.
+
+    Args:
+        folder: of a capture.
+        views: whose cameras to write, as pinholes.
+        points: with 8-bit colours in the file.
+    """
+    model = pycolmap.Reconstruction()
+    cameras: dict[tuple[float, ...], int] = {}
+    for number, view in enumerate(views, start=1):
+        pinhole = _pinhole(view.camera)
+        key = (pinhole.width, pinhole.height, *pinhole.params)
+        if key not in cameras:
+            pinhole.camera_id = cameras[key] = len(cameras) + 1
+            model.add_camera_with_trivial_rig(pinhole)
+        image = pycolmap.Image(name=view.name, camera_id=cameras[key], image_id=number)
+        model.add_image_with_trivial_frame(image, _pose(view.camera))
+    colors = np.clip(np.round(points.colors * 255), 0, 255).astype(np.uint8)
+    for position, color in zip(points.positions.astype(np.float64), colors, strict=True):
+        model.add_point3D(position, pycolmap.Track(), color)
+    place = folder / PLACE
+    place.mkdir(parents=True, exist_ok=True)
+    model.write_binary(place)
+
+
+def _pinhole(camera: Camera) -> pycolmap.Camera:
+    numbers = [float(number) for number in (camera.fx, camera.fy, camera.cx, camera.cy)]
+    return pycolmap.Camera(model="PINHOLE", width=camera.width, height=camera.height, params=numbers)
+
+
+def _pose(camera: Camera) -> pycolmap.Rigid3d:
+    """The nearest that is exactly rigid: products of float32 matrices are not quite."""
+    left, _, right = np.linalg.svd(np.asarray(camera.rotation, np.float64))
+    translation = np.asarray(camera.translation, np.float64)
+    return pycolmap.Rigid3d(pycolmap.Rotation3d(left @ right), translation)

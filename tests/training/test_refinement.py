@@ -1,0 +1,130 @@
+"""Cameras that were given a little wrong come back, and all together they do not drift."""
+
+import os
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import splatax as sx
+from scenes import random_gaussians
+from splatax.math import rigid
+from splatax.training.density import Fixed
+from splatax.training.feed import batches, sources
+from splatax.training.loop import first_state, optimize
+from splatax.training.optimizer import LearningRates
+from splatax.training.recipes import default
+from splatax.training.refinement import Poses, PosesAndFocal, rate_for, refined
+from splatax.training.step import train_step
+from training.test_training import RECIPE, capture
+
+STILL = LearningRates(1e-12, 1e-12, 0.0, 0.0, 0.0, 0.0, 0.0)  # the scene is known
+
+
+def turned(camera, twist):
+    """A camera turned about its own centre, by world axes."""
+    delta = rigid.exponential(jnp.concatenate([camera.rotation @ twist, jnp.zeros(3)]))
+    return replace(camera, cam_from_world=delta @ camera.cam_from_world)
+
+
+def perturbed(views, angle, seed=0):
+    """All cameras turned by about an angle, radians, but not on average."""
+    twists = np.random.default_rng(seed).normal(size=(len(views), 3))
+    twists -= twists.mean(axis=0)
+    twists *= angle / np.linalg.norm(twists, axis=1).mean()
+    return tuple(
+        replace(view, camera=turned(view.camera, jnp.asarray(twist, jnp.float32)))
+        for view, twist in zip(views, twists, strict=True)
+    )
+
+
+def angles(views, truth):
+    """Between cameras, radians."""
+    ours, theirs = (np.stack([np.asarray(view.camera.rotation) for view in vs]) for vs in (views, truth))
+    return np.linalg.norm(ours - theirs, axis=(1, 2)) / np.sqrt(2)
+
+
+def learn(views, recipe, truth):
+    """The cameras after a run on a scene that is known."""
+    copy = jax.tree.map(jnp.array, truth)  # steps use up what they are given
+    state = first_state(copy, recipe, 1.0, len(views))
+    for _, batch in zip(range(recipe.steps), batches(views, 0), strict=False):
+        state, _ = train_step(state, batch, recipe)
+    return state, refined(recipe.refinement, state.cameras, views, state.extent)
+
+
+TRUTH = random_gaussians(n=80, degree=0, spread=0.8, scale=(0.05, 0.25))  # of `capture`
+KNOWN = replace(RECIPE, steps=200, density=Fixed(), learning_rates=STILL, sh_degree=0, backend="xla")
+
+
+def test_turned_cameras_come_back():
+    views = capture().train
+    wrong = perturbed(views, 1 / 45)  # a pixel
+    state, found = learn(wrong, replace(KNOWN, refinement=Poses(reach=0.1)), TRUTH)
+    assert angles(wrong, views).mean() > 0.02
+    assert angles(found, views).mean() < 0.2 * angles(wrong, views).mean()
+    assert_allclose(jnp.mean(state.cameras.values, axis=0), 0, atol=1e-6)
+
+
+def test_a_wrong_focal_length_comes_back():
+    views = capture().train
+    wrong = tuple(
+        replace(v, camera=replace(v.camera, fx=v.camera.fx * 1.03, fy=v.camera.fy * 1.03)) for v in views
+    )
+    recipe = replace(KNOWN, refinement=PosesAndFocal(Poses(reach=1e-6), reach=0.1))
+    _, found = learn(wrong, recipe, TRUTH)
+    ratios = [float(a.camera.fx / b.camera.fx) for a, b in zip(found, views, strict=True)]
+    assert_allclose(ratios, ratios[0], rtol=1e-6)  # one lens
+    assert abs(ratios[0] - 1) < 0.006
+
+
+def test_cameras_with_the_same_numbers_share_a_lens():
+    views = capture().train
+    other = replace(views[2], camera=replace(views[2].camera, fx=views[2].camera.fx + 1))
+    found = sources((*views[:2], other, *views[3:]))
+    assert [int(source.lens) for source in found] == [0, 0, 1, 0, 0]
+    assert [int(source.view) for source in found] == [0, 1, 2, 3, 4]
+
+
+def test_the_steps_of_a_run_are_as_long_as_the_reach():
+    visits = 500.0
+    rates = [rate_for(0.02, visits, jnp.float32(i / visits)) for i in range(500)]
+    assert_allclose(sum(rates), 0.02, rtol=0.01)
+
+
+def test_given_cameras_stay():
+    dataset = capture()
+    for progress in optimize(dataset, replace(RECIPE, steps=2)):
+        pass
+    state = progress.state.train
+    assert jax.tree.leaves((state.cameras, state.appearance)) == []
+    found = refined(RECIPE.refinement, state.cameras, dataset.train, state.extent)
+    assert [view.camera for view in found] == [view.camera for view in dataset.train]
+
+
+@pytest.mark.slow
+def test_refinement_recovers_what_cameras_wrong_by_a_pixel_cost(data):
+    """fern at a third of its size. Test cameras are right, so their PSNR tells how good the scene is."""
+    dataset = sx.load_dataset(data / "fern", downscale=3)
+    steps = int(os.environ.get("SPLATAX_REFINEMENT_STEPS", "600"))
+    recipe = default(steps, 15_000)
+    focal = float(dataset.train[0].camera.fx)
+    wrong = replace(dataset, train=perturbed(dataset.train, 1 / focal))
+
+    def run(dataset, recipe):
+        for progress in optimize(dataset, recipe):
+            pass
+        state = progress.state.train
+        psnr = sx.evaluate(progress.gaussians, dataset.test).psnr
+        return psnr, refined(recipe.refinement, state.cameras, dataset.train, state.extent)
+
+    right, _ = run(dataset, recipe)
+    lost, _ = run(wrong, recipe)
+    regained, found = run(wrong, replace(recipe, refinement=Poses()))
+    before, after = (1e3 * angles(views, dataset.train).mean() for views in (wrong.train, found))
+    print(f"PSNR {right:.2f}, {lost:.2f}, {regained:.2f} dB; angles {before:.2f}, {after:.2f} mrad")
+    assert right - lost > 1
+    assert regained - lost > 0.6 * (right - lost)

@@ -13,7 +13,8 @@ import numpy as np
 from splatax.bench.operations import step as operation
 from splatax.bench.scenes import procedural
 from splatax.bench.timing import timed
-from splatax.training.recipes import Recipe
+from splatax.training.capacity import GROWTH
+from splatax.training.recipes import GROWING, Recipe
 
 PROBES = (20_000, 80_000)  # Gaussians; steps are linear in them
 ROUNDS = 5
@@ -21,7 +22,6 @@ GAUSSIANS_PER_STEP = 60  # of a run; see docs/results.md
 HEAVIER = 1.45  # a step of a capture than one of a procedural scene: 1.6 measured on fern, 1.4 on fox
 COMPILING = 0.7  # seconds for each size of the arrays that a scene grows through
 FEWEST_STEPS = 200
-GROWING = 3  # a third of a run's steps, in the default recipe
 UNITS = {"s": 1.0, "sec": 1.0, "min": 60.0, "m": 60.0, "h": 3600.0}
 
 
@@ -48,9 +48,9 @@ class Costs:
         return self.base + self.each * count
 
     def run(self, steps: int, first: int, most: int) -> float:
-        """Seconds for a run that grows by equal factors to `most` in its first third."""
+        """Seconds for a run of the recipe `default`, which grows by equal factors to `most`."""
         growing = (most - first) / np.log(most / first) if most > first else most
-        buckets = np.log(max(most / first, 1)) / np.log(1.5) + 1
+        buckets = np.log(max(most / first, 1)) / np.log(GROWTH) + 1
         average = (self.step(growing) + (GROWING - 1) * self.step(most)) / GROWING
         return float(steps * average + COMPILING * buckets)
 
@@ -108,7 +108,7 @@ class Changes:
     """New totals of steps, each from a step on: the pace of a run, as it is given to `optimize`.
 
     Attributes:
-        made: (step after which, new total), in order.
+        made: (step after which, new total), in order; it grows.
     """
 
     made: list[tuple[int, int]] = field(default_factory=list)
@@ -131,10 +131,11 @@ class Clock(Changes):
 
     Attributes:
         seconds: for the whole run.
+        checked: the step and the time of the last look.
     """
 
     seconds: float = 0.0
-    checked: tuple[int, float] = (0, 0.0)  # the step and the time of the last look
+    checked: tuple[int, float] = (0, 0.0)
 
     def due(self, step: int, total: int) -> bool:
         """Every 5 percent, once the first programs are compiled."""

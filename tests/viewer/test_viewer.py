@@ -161,7 +161,7 @@ def test_a_box_shows_what_a_scene_of_the_rest_alone_would():
 
 def progress_of(gaussians):
     """In the middle of training."""
-    state = first_state(gaussians, sx.recipes.classic(), 1.0)
+    state = first_state(gaussians, sx.recipes.classic(), 1.0, 1)
     return sx.Progress(2, 3, jnp.float32(0.4), len(gaussians), state)
 
 
@@ -192,7 +192,7 @@ def viewer():
 def test_nobody_who_looks_is_no_work(viewer, monkeypatch):
     from splatax.cli.view import Audience
 
-    audience = Audience(viewer, steps=10)
+    audience = Audience(viewer)
     monkeypatch.setattr(Look, "picture", lambda *_: pytest.fail("drawn for nobody"))
     assert not audience.waits
     assert not viewer.draw(random_gaussians())
@@ -218,7 +218,7 @@ def test_drawing_stays_within_its_share_of_training(viewer):
     from splatax.cli.view import RESTING_SHARE, Audience
     from splatax.report.history import History
 
-    audience, client, history = Audience(viewer, steps=200), Client(), History(losses=[0.5, 0.4])
+    audience, client, history = Audience(viewer), Client(), History(losses=[0.5, 0.4])
     progress = progress_of(random_gaussians())
     viewer._sit(client)
     audience.show(progress, history, lambda: False)
@@ -236,7 +236,7 @@ def test_a_pause_ends_when_all_have_left(viewer):
     from splatax.cli.view import Audience
     from splatax.report.history import History
 
-    audience, client = Audience(viewer, steps=200), Client()
+    audience, client = Audience(viewer), Client()
     progress = progress_of(random_gaussians())
     viewer._sit(client)
     viewer.panels.paused = True

@@ -72,6 +72,24 @@ def read_runs(folders: Sequence[Path]) -> list[FinishedRun]:
     return runs
 
 
+def finished(run: Path, names: set[str]) -> tuple[dict[str, Any], list[tuple[int, int]]]:
+    """Options of a finished run, and the changes of its number of steps, to make it again.
+
+    Args:
+        run: its folder, or the config.json in it.
+        names: of the options that there are.
+
+    Raises:
+        InputError: if there is none, or it was made with other options.
+    """
+    path = run / "config.json" if run.is_dir() else run
+    options = part_of(path, set(), within="options")
+    if options.keys() != names:
+        other = ", ".join(sorted(options.keys() ^ names))
+        raise InputError(f"{path}: of a splatax with other options ({other}). Repeat the run with that one.")
+    return options, [(step, total) for step, total in part_of(path, {"changes"})["changes"]]
+
+
 def part_of(path: Path, needed: set[str], within: str | None = None) -> dict[str, Any]:
     """An object of a JSON file, or the one that it has under a name.
 
@@ -86,6 +104,8 @@ def part_of(path: Path, needed: set[str], within: str | None = None) -> dict[str
         raise InputError(
             f"{path.parent}: no {path.name} in it. Give folders that `splatax train` has written to the end."
         ) from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}). Make it readable.") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{path}: damaged ({error}). Train this run again, or leave it out.") from error
     if missing:

@@ -1,7 +1,9 @@
 """One run as the command line makes it: training, watched."""
 
 import time
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 
@@ -46,107 +48,134 @@ def claim(out: Path, overwrite: bool) -> None:
         raise InputError(f"{out}: cannot be written to ({error.strerror}). Choose another --out.") from error
 
 
-@dataclass
 class Stopwatch:
-    """Seconds that count, without those spent on looking."""
+    """Seconds of training: those spent on looking do not count."""
 
-    began: float
-    paused: float = 0.0
+    def __init__(self, before: float):
+        """Starts.
 
+        Args:
+            before: seconds that count already.
+        """
+        self._began = time.monotonic() - before
+
+    @property
     def seconds(self) -> float:
-        return time.monotonic() - self.began - self.paused
+        """That count until now."""
+        return time.monotonic() - self._began
+
+    @contextmanager
+    def stopped(self) -> Iterator[None]:
+        """While one looks."""
+        before = self.seconds
+        yield
+        self._began = time.monotonic() - before
 
 
-def train(
-    dataset: sx.Dataset,
-    recipe: sx.Recipe,
-    eval_every: int,
-    checkpoints: Checkpoints,
-    history: History,
-    start: RunState | None = None,
-    changes: Changes | None = None,
-    audience: Audience | None = None,
-) -> sx.Progress:
-    """Trains with a progress bar, evaluations, pictures of one view and checkpoints; returns the end.
+@dataclass(frozen=True)
+class Session:
+    """Training with a progress bar, evaluations, pictures of one view and checkpoints.
 
-    Ctrl-C ends training after the step at hand, with what has been reached until then.
-
-    Args:
+    Attributes:
         dataset: the capture.
         recipe: how.
-        eval_every: steps between evaluations of the test views; 0 for none.
         checkpoints: where the run is saved now and then, and when it is interrupted.
         history: of the run until now; it grows.
-        start: the run to go on with.
-        changes: of the number of steps. Those of the history are made again.
+        changes: of the number of steps.
+        eval_every: steps between evaluations of the test views; 0 for none.
         audience: who may look on; None for nobody.
+        interruption: how the user may ask for an early end.
     """
-    changes = changes or Changes()
-    changes.made = history.changes
-    with Display(recipe.steps) as display, Interruption() as interruption:
-        display.announce("compiling the first step")
-        watch = Stopwatch(time.monotonic() - history.train_seconds)
-        for progress in sx.optimize(dataset, recipe, start, changes):
-            history.losses.append(progress.loss)
-            history.counts.append(progress.count)
-            display.steps = progress.total
-            display.step(progress.step, progress.loss, progress.count)
-            last = progress.step == progress.total
-            looked = changes.due(progress.step, progress.total)
-            shown = progress.step in frames(progress.total)
-            evaluated = bool(eval_every and dataset.test) and progress.step % eval_every == 0 and not last
-            stopped = interruption.requested and not last
-            saved = not last and (checkpoints.due(progress.step) or stopped)
-            watched = audience is not None and audience.waits
-            if evaluated or saved or looked or shown or watched:
-                progress.loss.block_until_ready()
-                history.train_seconds = seconds = watch.seconds()
-                if looked:
-                    changes.note(progress.step, progress.total, seconds)
-                if shown:
-                    history.frames.append(frame(progress, dataset, recipe))
-                if evaluated:
-                    history.evaluations.append(evaluate(progress, dataset, recipe, seconds))
-                    display.psnr = history.evaluations[-1].scores.psnr
-                if saved:
-                    checkpoints.save(progress.state, history)
-                if audience and watched:
-                    audience.show(progress, history, lambda: interruption.requested)
-                watch.paused += watch.seconds() - seconds
-            if stopped:
-                history.interrupted = True
-                break
-        progress.loss.block_until_ready()
-        history.train_seconds = watch.seconds()
-    return progress
+
+    dataset: sx.Dataset
+    recipe: sx.Recipe
+    checkpoints: Checkpoints
+    history: History
+    changes: Changes
+    eval_every: int = 0
+    audience: Audience | None = None
+    interruption: Interruption = field(default_factory=Interruption)
+
+    def train(self, start: RunState | None = None) -> sx.Progress:
+        """Trains, and returns the end. Ctrl-C ends it after the step at hand, with what has been reached.
+
+        Args:
+            start: the run to go on with.
+        """
+        history = self.history
+        with Display(self.recipe.steps) as display, self.interruption:
+            display.announce("compiling the first step")
+            watch = Stopwatch(history.train_seconds)
+            for progress in sx.optimize(self.dataset, self.recipe, start, self.changes):
+                history.losses.append(progress.loss)
+                history.counts.append(progress.count)
+                history.interrupted = self.interruption.requested and progress.step < progress.total
+                display.steps, display.psnr = progress.total, history.psnr
+                display.step(progress.step, progress.loss, progress.count)
+                if wanted := list(self.wanted(progress)):
+                    progress.loss.block_until_ready()
+                    history.train_seconds = watch.seconds
+                    with watch.stopped():
+                        for look in wanted:
+                            look(progress)
+                if history.interrupted:
+                    break
+            progress.loss.block_until_ready()
+            history.train_seconds = watch.seconds
+        return progress
+
+    def wanted(self, progress: sx.Progress) -> Iterator[Callable[[sx.Progress], None]]:
+        """What is to be done after a step, once it has ended."""
+        step, total = progress.step, progress.total
+        if self.changes.due(step, total):
+            yield self.note_the_time
+        if step in frames(total):
+            yield self.take_picture
+        if step < total:
+            if self.eval_every and step % self.eval_every == 0 and self.dataset.test:
+                yield self.evaluate
+            if self.checkpoints.due(step) or self.history.interrupted:
+                yield self.save
+        if self.audience and self.audience.waits:
+            yield self.show
+
+    def note_the_time(self, progress: sx.Progress) -> None:
+        """The number of steps may change by it."""
+        self.changes.note(progress.step, progress.total, self.history.train_seconds)
+
+    def take_picture(self, progress: sx.Progress) -> None:
+        """Of the first test view, for the animation."""
+        image = picture(
+            progress.padded,
+            (self.dataset.test or self.dataset.train)[0].camera,
+            background=self.recipe.background.rgb,
+            low_pass=self.recipe.low_pass,
+            backend=self.recipe.backend,
+        )
+        self.history.frames.append((f"step {progress.step:,}   {progress.count:,} Gaussians", image))
+
+    def evaluate(self, progress: sx.Progress) -> None:
+        """The test views."""
+        scores = sx.evaluate(
+            progress.padded,
+            self.dataset.test,
+            background=self.recipe.background.rgb,
+            low_pass=self.recipe.low_pass,
+            backend=self.recipe.backend,
+        )
+        self.history.evaluations.append(Evaluation(progress.step, self.history.train_seconds, scores))
+
+    def save(self, progress: sx.Progress) -> None:
+        """A checkpoint."""
+        self.checkpoints.save(progress.state, self.history)
+
+    def show(self, progress: sx.Progress) -> None:
+        """The scene, to those who look on."""
+        assert self.audience
+        self.audience.show(progress, self.history, lambda: self.interruption.requested)
 
 
 @cache
 def frames(total: int) -> set[int]:
     """Steps that have a picture in the animation."""
     return {max(round(total * (i / (FRAMES - 1)) ** 2), 1) for i in range(FRAMES)}
-
-
-def evaluate(progress: sx.Progress, dataset: sx.Dataset, recipe: sx.Recipe, seconds: float) -> Evaluation:
-    """The test views in the middle of a run."""
-    scores = sx.evaluate(
-        progress.padded,
-        dataset.test,
-        background=recipe.background.rgb,
-        low_pass=recipe.low_pass,
-        backend=recipe.backend,
-    )
-    return Evaluation(progress.step, seconds, scores)
-
-
-def frame(progress: sx.Progress, dataset: sx.Dataset, recipe: sx.Recipe):
-    """A picture of the first test view, for the animation."""
-    camera = (dataset.test or dataset.train)[0].camera
-    image = picture(
-        progress.padded,
-        camera,
-        background=recipe.background.rgb,
-        low_pass=recipe.low_pass,
-        backend=recipe.backend,
-    )
-    return f"step {progress.step:,}   {progress.count:,} Gaussians", image

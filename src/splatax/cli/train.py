@@ -1,6 +1,5 @@
 """`splatax train`: from a capture to a scene."""
 
-import json
 from collections.abc import Mapping, Set
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, fields, replace
@@ -10,9 +9,8 @@ from typing import Any, Literal
 import tyro
 
 import splatax as sx
-from splatax.budget import Changes, Clock, measured, parse_seconds, plan
+from splatax.budget import Changes, Clock, parse_seconds
 from splatax.cli.checkpoints import Checkpoints, unpacked
-from splatax.cli.display import duration
 from splatax.cli.options import (
     AppearanceName,
     BackendName,
@@ -23,9 +21,11 @@ from splatax.cli.options import (
     load_scene,
     resolve_backend,
 )
+from splatax.cli.planning import within
 from splatax.cli.results import Run
 from splatax.cli.resume import Earlier, facts, find
-from splatax.cli.session import claim, train
+from splatax.cli.runs import finished
+from splatax.cli.session import Session, claim
 from splatax.cli.view import audience
 from splatax.errors import InputError
 from splatax.io.datasets import colmap_writing
@@ -40,6 +40,7 @@ from splatax.viewer.server import LOCAL, PORT
 
 WATCHING = {"view", "host", "port"}
 FREE = {"scene", "resume", "repeat", "checkpoint_every", "checkpoint_steps"} | WATCHING  # may change in a run
+NOT_REPEATED = {"out": None, "overwrite": False, "budget": None}  # a plan is repeated as it was made
 
 RecipeName = Literal[*RECIPES]  # type: ignore[valid-type]
 
@@ -113,22 +114,27 @@ class Train:
 
     def run(self) -> None:
         if self.resume is not None:
-            earlier = find(self.resume)
-            options = self.as_started(earlier.options)
-            history = unpacked(earlier.checkpoint)
-            options.start(history, options.clock(history), earlier)
+            self.go_on(find(self.resume))
         elif self.repeat is not None:
-            stored, made = finished(self.repeat)
-            again = self.as_started(stored | {"out": None, "overwrite": False}, FREE | {"out", "overwrite"})
-            again.start(History(changes=made), Changes())
+            stored, made = finished(self.repeat, {field.name for field in fields(self)})
+            again = self.as_started(stored | NOT_REPEATED, FREE | NOT_REPEATED.keys())
+            again.start(History(changes=made), Changes(made))
         else:
-            self.start(History())
+            self.refuse_what_a_budget_decides()
+            history = History()
+            self.start(history, self.pace(history))
 
-    def clock(self, history: History) -> Changes | None:
-        """What keeps a run within its budget, if it has one."""
+    def go_on(self, earlier: Earlier) -> None:
+        """Goes on with a run."""
+        options, history = self.as_started(earlier.options), unpacked(earlier.checkpoint)
+        options.start(history, options.pace(history), earlier)
+
+    def pace(self, history: History) -> Changes:
+        """What may change the number of steps while the run goes on."""
         if self.budget is None:
-            return None
-        return Clock(seconds=parse_seconds(self.budget), checked=(history.steps, history.train_seconds))
+            return Changes(history.changes)
+        seconds, checked = parse_seconds(self.budget), (history.steps, history.train_seconds)
+        return Clock(history.changes, seconds, checked)
 
     def as_started(self, options: Mapping[str, Any], free: Set[str] = FREE) -> "Train":
         """The options of a run, with those of these that are free to change.
@@ -151,79 +157,68 @@ class Train:
             stored[field.name] = value
         return Train(**{**stored, "resume": None, "repeat": None})
 
-    def start(self, history: History, changes: Changes | None = None, earlier: Earlier | None = None) -> None:
+    def start(self, history: History, changes: Changes, earlier: Earlier | None = None) -> None:
         """Trains, from the beginning or from a checkpoint.
 
         Args:
             history: of the run until now.
-            changes: of the number of steps; without them, what the options ask for.
+            changes: of the number of steps.
             earlier: the checkpoint to go on from.
         """
         if self.scene is None:
             raise InputError("Which capture? Name its folder, or a run to go on with: --resume RUN.")
         scene = self.scene.absolute()  # a run may go on from another folder
-        self.refuse_what_is_out_of_range()
-        dataset = load_scene(self.scene, self.downscale)
-        for note in dataset.notes:
-            print(note)
-        settled = replace(self, scene=scene, background=self.background or dataset.background)
-        if changes is None and self.budget is not None:
-            settled, changes = settled.planned(dataset), self.clock(history)
-        recipe = settled.to_recipe(dataset)
-        if self.init == "sfm" and not len(dataset.points):
-            raise InputError(
-                f"{self.scene}: the capture has no points to start from. Start at random: --init random."
-            )
-        options = asdict(settled)
+        dataset = self.capture()
         out = earlier.run if earlier else self.out or Path("runs") / scene.resolve().name
         claim(out, self.overwrite or earlier is not None)
+        settled = replace(self, scene=scene, background=self.background or dataset.background)
+        if self.budget is not None and earlier is None:
+            seconds, most = (
+                parse_seconds(self.budget),
+                None if self.max_gaussians == "auto" else self.max_gaussians,
+            )
+            chosen = within(seconds, settled.to_recipe(dataset), dataset, most)
+            settled = replace(settled, steps=chosen.steps, max_gaussians=chosen.max_gaussians)
+        recipe = settled.to_recipe(dataset)
         checkpoints = Checkpoints(
             out,
-            facts(options, recipe, dataset),
+            facts(asdict(settled), recipe, dataset),
             seconds=self.checkpoint_every,
             steps=self.checkpoint_steps,
             earlier=earlier.path if earlier else None,
         )
-        state = None
-        if earlier:
-            state = earlier.state(recipe, dataset)
+        state = earlier.state(recipe, dataset) if earlier else None
+        if state:
             print(f"going on after step {history.steps:,} of {int(state.train.total):,}")
         watched = audience(dataset, recipe, self.host, self.port) if self.view else nullcontext()
         with checkpoints, watched as watchers:
-            last = train(dataset, recipe, self.eval_every, checkpoints, history, state, changes, watchers)
-            conclude(Run(scene.resolve().name, dataset, recipe, history, last.gaussians, options, out))
+            session = Session(dataset, recipe, checkpoints, history, changes, self.eval_every, watchers)
+            last = session.train(state)
+            conclude(
+                Run(scene.resolve().name, dataset, recipe, history, last.gaussians, asdict(settled), out)
+            )
             keep_cameras(out, dataset, recipe, last)
         if history.interrupted:
             print(f"stopped at step {history.steps:,}. Go on: splatax train --resume {out}")
         else:
             checkpoints.discard()
 
-    def planned(self, dataset: sx.Dataset) -> "Train":
-        """The same with the numbers of steps and Gaussians that fit into the budget. Says what they are.
+    def capture(self) -> sx.Dataset:
+        """What to train on. Says what there is to say of it.
 
         Raises:
-            InputError: if the budget is not a time, or the recipe is not one that it can plan.
+            InputError: if the options do not suit it, or make no sense.
         """
-        if self.recipe != "default" or self.steps != Train.steps:
+        assert self.scene
+        self.refuse_what_is_out_of_range()
+        dataset = load_scene(self.scene, self.downscale)
+        for note in dataset.notes:
+            print(note)
+        if self.init == "sfm" and not len(dataset.points):
             raise InputError(
-                "--budget: plans the steps of the recipe default. Leave out --recipe and --steps."
+                f"{self.scene}: the capture has no points to start from. Start at random: --init random."
             )
-        try:
-            seconds = parse_seconds(self.budget or "")
-        except ValueError as error:
-            raise InputError(f"--budget: {error}.") from error
-        recipe = self.to_recipe(dataset)
-        print("measuring the speed of this machine ...")
-        camera = dataset.train[0].camera
-        costs = measured((camera.width, camera.height), recipe)
-        first = len(recipe.initialization(dataset, 0, self.seed))
-        most = None if self.max_gaussians == "auto" else self.max_gaussians
-        chosen = plan(costs, seconds, first, room_for(dataset), most)
-        print(
-            f"about {chosen.steps:,} steps and {chosen.max_gaussians:,} Gaussians in {duration(seconds)}, at "
-            f"{1e3 * costs.step(chosen.max_gaussians):.0f} ms a step in the end"
-        )
-        return replace(self, steps=chosen.steps, max_gaussians=chosen.max_gaussians)
+        return dataset
 
     def refuse_what_is_out_of_range(self) -> None:
         """Raises InputError if a number makes no sense."""
@@ -232,6 +227,19 @@ class Train:
             value = getattr(self, option)
             if value != "auto" and value < least:
                 raise InputError(f"--{option.replace('_', '-')}: at least {least}, not {value}.")
+
+    def refuse_what_a_budget_decides(self) -> None:
+        """Raises InputError if there is a budget that is no time, or nothing is left for it to plan."""
+        if self.budget is None:
+            return
+        if self.recipe != "default" or self.steps != Train.steps:
+            raise InputError(
+                "--budget: plans the steps of the recipe default. Leave out --recipe and --steps."
+            )
+        try:
+            parse_seconds(self.budget)
+        except ValueError as error:
+            raise InputError(f"--budget: {error}.") from error
 
     def to_recipe(self, dataset: sx.Dataset) -> sx.Recipe:
         """The recipe that the options describe, for a capture.
@@ -256,22 +264,6 @@ class Train:
             backend=resolve_backend(self.backend),
             seed=self.seed,
         )
-
-
-def finished(run: Path) -> tuple[dict[str, Any], list[tuple[int, int]]]:
-    """Options of a finished run, and the changes of its number of steps.
-
-    Raises:
-        InputError: if there is none in that folder.
-    """
-    path = run / "config.json" if run.is_dir() else run
-    try:
-        config = json.loads(path.read_text())
-        return config["options"], [(step, total) for step, total in config["changes"]]
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(
-            f"{path}: not the config.json of a finished run ({error}). Name its folder."
-        ) from error
 
 
 def keep_cameras(out: Path, dataset: sx.Dataset, recipe: sx.Recipe, last: sx.Progress) -> None:

@@ -81,8 +81,8 @@ class Audience:
         viewer: that they look into.
     """
 
-    def __init__(self, viewer: Viewer, steps: int):
-        self.viewer, self.steps = viewer, steps
+    def __init__(self, viewer: Viewer):
+        self.viewer = viewer
         self._ended, self._spent = 0.0, 0.0
 
     @property
@@ -99,9 +99,8 @@ class Audience:
         training is paused. All may leave: then it goes on."""
         start = time.monotonic()
         step_seconds = min(start - self._ended, LONGEST_SECONDS)
-        psnr = history.evaluations[-1].scores.psnr if history.evaluations else None
         panels = self.viewer.panels
-        panels.training(progress.step, self.steps, progress.count, float(progress.loss), psnr)
+        panels.training(progress.step, progress.total, progress.count, float(progress.loss), history.psnr)
         if panels.curve_due:
             history.losses[:] = [float(loss) for loss in history.losses]
             panels.curve(np.array(history.losses))
@@ -125,4 +124,4 @@ def audience(dataset: sx.Dataset, recipe: sx.Recipe, host: str, port: int) -> It
     start = dataset.views[0].camera
     with Viewer(dataset.views, start, np.median(points, axis=0), look, host=host, port=port) as viewer:
         announce(viewer, host)
-        yield Audience(viewer, recipe.steps)
+        yield Audience(viewer)

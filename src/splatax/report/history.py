@@ -41,3 +41,8 @@ class History:
     @property
     def steps(self) -> int:
         return len(self.losses)
+
+    @property
+    def psnr(self) -> float | None:
+        """Of the last evaluation, dB; None before any."""
+        return self.evaluations[-1].scores.psnr if self.evaluations else None

@@ -24,6 +24,10 @@ class FromPoints:
     opacity: float = 0.1
     scale: float = 1.0  # times the root mean square distance to the 3 nearest points
 
+    def number(self, dataset: Dataset) -> int:
+        """How many there will be."""
+        return len(dataset.points)
+
     def __call__(self, dataset: Dataset, sh_degree: int, seed: int) -> Gaussians:
         """The start of training on a capture.
 
@@ -50,6 +54,10 @@ class InFrusta:
     scale: float = 1.0  # times the root mean square distance to the 3 nearest
     nearest: float = 0.3  # of the distance to where the cameras look
     farthest: float = 4.0  # of it; even in inverse depth between
+
+    def number(self, dataset: Dataset) -> int:
+        """How many there will be."""
+        return self.count
 
     def __call__(self, dataset: Dataset, sh_degree: int, seed: int) -> Gaussians:
         """The start of training on a capture."""

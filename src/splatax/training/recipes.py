@@ -66,6 +66,9 @@ def mcmc(steps: int = 30_000, max_gaussians: int = 1_000_000) -> Recipe:
     )
 
 
+GROWING = 3  # a run of `default` has all its Gaussians after one of so many parts
+
+
 def default(steps: int = 30_000, max_gaussians: int = 1_000_000) -> Recipe:
     """The best known for a given number of steps: all settings follow from it.
 
@@ -82,7 +85,7 @@ def default(steps: int = 30_000, max_gaussians: int = 1_000_000) -> Recipe:
             every=min(max(steps // 40, 10), 100),
             start=steps // 20,
             until=steps * 85 // 100,
-            growth=ByStep(full=steps // 3),
+            growth=ByStep(full=steps // GROWING),
             max_gaussians=max_gaussians,
         ),
         sh_every=max(steps // 20, 1),

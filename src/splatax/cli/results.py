@@ -74,6 +74,8 @@ class Run:
             "steps": self.history.steps,
             "interrupted": self.history.interrupted,
             "gaussians": len(self.gaussians),
+            "bad_steps": self.history.bad_steps,
+            "broken_gaussians": self.history.broken,
             "final_loss": float(self.history.losses[-1]),
             "peak_rss_bytes": peak_memory(),
             "evaluations": [

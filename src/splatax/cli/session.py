@@ -122,6 +122,7 @@ class Session:
                     break
             progress.loss.block_until_ready()
             history.train_seconds = watch.seconds
+            history.bad_steps, history.broken = (int(number) for number in progress.faults)
         return progress
 
     def wanted(self, progress: sx.Progress) -> Iterator[Callable[[sx.Progress], None]]:

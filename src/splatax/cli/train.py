@@ -173,11 +173,8 @@ class Train:
         claim(out, self.overwrite or earlier is not None)
         settled = replace(self, scene=scene, background=self.background or dataset.background)
         if self.budget is not None and earlier is None:
-            seconds, most = (
-                parse_seconds(self.budget),
-                None if self.max_gaussians == "auto" else self.max_gaussians,
-            )
-            chosen = within(seconds, settled.to_recipe(dataset), dataset, most)
+            most = None if self.max_gaussians == "auto" else self.max_gaussians
+            chosen = within(parse_seconds(self.budget), settled.to_recipe(dataset), dataset, most)
             settled = replace(settled, steps=chosen.steps, max_gaussians=chosen.max_gaussians)
         recipe = settled.to_recipe(dataset)
         checkpoints = Checkpoints(
@@ -279,6 +276,11 @@ def keep_cameras(out: Path, dataset: sx.Dataset, recipe: sx.Recipe, last: sx.Pro
 def conclude(run: Run) -> None:
     """Writes the results and says where they are."""
     scores = run.write()
+    if run.history.bad_steps or run.history.broken:
+        print(
+            f"{run.history.bad_steps:,} steps had no finite loss and changed nothing; {run.history.broken:,} "
+            "Gaussians that were not finite were removed"
+        )
     if scores:
         print(
             f"test PSNR {scores.psnr:.2f} dB, SSIM {scores.ssim:.4f} over {len(scores.views)} held-out photos"

@@ -28,6 +28,8 @@ class History:
         train_seconds: spent on steps, compilation included, evaluation and pictures not.
         changes: of the planned number of steps: after which step, and to how many.
         interrupted: whether the user stopped it early.
+        bad_steps: whose loss was not finite; they have changed nothing.
+        broken: Gaussians that were not finite; they were removed.
     """
 
     losses: list[Any] = field(default_factory=list)
@@ -37,6 +39,8 @@ class History:
     train_seconds: float = 0.0
     changes: list[tuple[int, int]] = field(default_factory=list)
     interrupted: bool = False
+    bad_steps: int = 0
+    broken: int = 0
 
     @property
     def steps(self) -> int:

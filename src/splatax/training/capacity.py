@@ -35,3 +35,19 @@ def with_empty_slots(gaussians: Gaussians, count: Int[Array, ""]) -> Gaussians:
     """The same rows, but those from `count` on are empty slots: exactly transparent."""
     living = jnp.arange(len(gaussians)) < count
     return replace(gaussians, opacity_logits=jnp.where(living, gaussians.opacity_logits, -jnp.inf))
+
+
+@jax.jit
+def without_broken(gaussians: Gaussians) -> tuple[Gaussians, Int[Array, ""]]:
+    """The same, but with empty slots where a Gaussian is not finite; and how many those are."""
+
+    def finite(leaf: Array) -> Array:
+        return jnp.isfinite(leaf.reshape(len(leaf), -1)).all(axis=1)
+
+    logits = gaussians.opacity_logits
+    rest = (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.sh)
+    good = jnp.stack([jnp.isfinite(logits) | jnp.isneginf(logits), *map(finite, rest)]).all(axis=0)
+    cleared = jax.tree.map(
+        lambda leaf: jnp.where(good.reshape(-1, *[1] * (leaf.ndim - 1)), leaf, 0), gaussians
+    )
+    return replace(cleared, opacity_logits=jnp.where(good, logits, -jnp.inf)), jnp.sum(~good)

@@ -12,11 +12,11 @@ from splatax.dataset import Dataset
 from splatax.errors import DatasetError
 from splatax.gaussians import Gaussians
 from splatax.training import optimizer
-from splatax.training.capacity import bucket_for, pad
+from splatax.training.capacity import bucket_for, pad, without_broken
 from splatax.training.feed import batches
 from splatax.training.initialize import require_visible
 from splatax.training.recipes import Recipe
-from splatax.training.step import TrainState, train_step
+from splatax.training.step import Faults, TrainState, train_step
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,11 @@ class Progress:
     def state(self) -> RunState:
         """What `optimize` needs to go on from here, valid until the next step."""
         return RunState(self._state, self.count)
+
+    @property
+    def faults(self) -> Faults:
+        """What was not finite until now, valid until the next step."""
+        return self._state.faults
 
     @property
     def gaussians(self) -> Gaussians:
@@ -119,6 +124,7 @@ def first_state(gaussians: Gaussians, recipe: Recipe, extent: float, photos: int
         cameras=recipe.refinement.init(photos),
         key=key,
         extent=jnp.float32(extent),
+        faults=Faults(jnp.int32(0), jnp.int32(0)),
     )
 
 
@@ -139,9 +145,10 @@ def _steps(
     for step, batch in enumerate(batches(dataset.train, recipe.seed, done, recipe.resolution), done + 1):
         state, loss = train_step(state, batch, recipe)
         if recipe.density.due(step):
+            gaussians, broken = without_broken(state.gaussians)
             refined = recipe.density.refine(
                 state.density_state,
-                state.gaussians,
+                gaussians,
                 count,
                 step,
                 dataset.extent,
@@ -153,6 +160,7 @@ def _steps(
                 gaussians=refined.gaussians,
                 opt_state=optimizer.inherit(state.opt_state, refined.lineage),
                 density_state=refined.state,
+                faults=state.faults._replace(gaussians=state.faults.gaussians + broken),
             )
         yield Progress(step, total, loss, count, state)
         planned = pace(step)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +20,13 @@ from splatax.training.optimizer import LearningRates
 from splatax.training.recipes import Recipe
 
 
+class Faults(NamedTuple):
+    """Numbers of what went wrong and was mended."""
+
+    steps: Int[Array, ""]  # whose loss was not finite: they have changed nothing
+    gaussians: Int[Array, ""]  # that were not finite: they were removed
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class TrainState:
@@ -35,6 +42,7 @@ class TrainState:
         cameras: what is learned of the photos' cameras.
         key: what all randomness of the run comes from.
         extent: of the scene, world units.
+        faults: what was not finite until now.
     """
 
     step: Int[Array, ""]
@@ -46,6 +54,7 @@ class TrainState:
     cameras: Any
     key: PRNGKeyArray
     extent: Float[Array, ""]
+    faults: Faults
 
 
 def train_step(state: TrainState, batch: Batch, recipe: Recipe) -> tuple[TrainState, Float[Array, ""]]:
@@ -81,21 +90,34 @@ def _train_step(
     loss, (d_splats, d_look) = jax.value_and_grad(image_loss, argnums=(0, 1))(splats, look)
     gradients, d_pose = pull_back((d_splats, jnp.ones_like(prior)))
 
+    # Of a bad step, the gradients count as zero and nothing moves. To choose between the old and the new
+    # scene as a whole would take a copy of all moments.
+    good = jnp.isfinite(loss)
+    gradients = jax.tree.map(lambda leaf: jnp.where(good, leaf, 0), gradients)
     gradients = optimizer.without_locked_bands(gradients, state.step, sh_every)
     progress = state.step / state.total
     rates = learning_rates.at(progress, state.extent, gradients.sh.shape[1])
+    rates = jax.tree.map(lambda leaf: jnp.where(good, leaf, 0), rates)
     gaussians, opt_state = optimizer.update(state.gaussians, gradients, state.opt_state, rates)
     gaussians = lax.optimization_barrier(gaussians)
     gaussians = recipe.noise(gaussians, rates.means[0, 0], state.extent, noise_key)
     total = state.total.astype(jnp.float32)
+    learned = (
+        recipe.density.observe(state.density_state, splats, d_splats),
+        recipe.appearance.update(state.appearance, batch.source, d_look, progress),
+        recipe.refinement.update(state.cameras, batch.source, d_pose, progress, total),
+    )
+    known = state.density_state, state.appearance, state.cameras
+    density_state, appearance, cameras = jax.tree.map(partial(jnp.where, good), learned, known)
     return replace(
         state,
         step=state.step + 1,
         gaussians=gaussians,
         opt_state=opt_state,
-        density_state=recipe.density.observe(state.density_state, splats, d_splats),
-        appearance=recipe.appearance.update(state.appearance, batch.source, d_look, progress),
-        cameras=recipe.refinement.update(state.cameras, batch.source, d_pose, progress, total),
+        density_state=density_state,
+        appearance=appearance,
+        cameras=cameras,
+        faults=state.faults._replace(steps=state.faults.steps + ~good),
     ), loss
 
 

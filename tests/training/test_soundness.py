@@ -1,0 +1,67 @@
+"""What is not finite neither spreads nor stays, and is counted."""
+
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import splatax as sx
+from shortened import shortened
+from splatax.losses import Photometric
+from splatax.training.capacity import pad
+from splatax.training.loop import RunState, first_state
+from splatax.training.recipes import RECIPES
+from training.test_training import capture
+
+
+@dataclass(frozen=True)
+class Touchy(Photometric):
+    """A loss that is not finite for black photos."""
+
+    def __call__(self, image, photo, mask=None, backend="auto"):
+        return jnp.where(photo.max() > 0, super().__call__(image, photo, mask, backend=backend), jnp.nan)
+
+
+def with_a_black_photo(dataset):
+    black = replace(dataset.train[0], pixels=lambda: np.zeros_like(dataset.train[1].pixels()))
+    return replace(dataset, train=(black, *dataset.train[1:]))
+
+
+def finite(gaussians):
+    return all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(gaussians))
+
+
+@pytest.mark.parametrize("name", RECIPES)
+def test_a_step_without_a_finite_loss_changes_no_gaussian_and_is_counted(name):
+    dataset = with_a_black_photo(capture())
+    recipe = replace(shortened(name), loss=Touchy())
+    before, bad = None, 0
+    for progress in sx.optimize(dataset, recipe):
+        now, refined = progress.gaussians, recipe.density.due(progress.step)
+        if not jnp.isfinite(progress.loss):
+            bad += 1
+            if before is not None and not refined:
+                for old, new in zip(jax.tree.leaves(before), jax.tree.leaves(now), strict=True):
+                    np.testing.assert_allclose(new, old, rtol=2e-7)  # quaternions are normalized again
+        before = now
+    assert 0 < bad < progress.step
+    assert int(progress.faults.steps) == bad
+    assert finite(progress.gaussians)
+
+
+@pytest.mark.parametrize("name", RECIPES)
+@pytest.mark.parametrize("field", ["means", "log_scales", "opacity_logits", "sh"])
+def test_a_gaussian_that_is_not_finite_is_removed_and_the_rest_learns_on(name, field):
+    dataset, recipe = capture(), shortened(name)
+    recipe = replace(recipe, backend=sx.rasterizers.resolve("auto"))
+    gaussians = recipe.initialization(dataset, recipe.sh_degree, recipe.seed)
+    broken = replace(gaussians, **{field: getattr(gaussians, field).at[3].set(jnp.nan)})
+    start = first_state(pad(broken, 1024), recipe, dataset.extent, len(dataset.train))
+    losses = []
+    for progress in sx.optimize(dataset, recipe, RunState(start, len(gaussians))):
+        losses.append(float(progress.loss))
+    assert int(progress.faults.gaussians) == 1
+    assert np.isfinite(losses).all()
+    assert finite(progress.gaussians)

@@ -15,7 +15,7 @@ LAYERS = (  # lowest first; a package stands for all its modules
     {"projection", "rasterizers", "losses", "metrics", "lpips", "io"},
     {"rendering", "paths"},
     {"training", "evaluation", "editing"},
-    {"report", "demo", "bench", "budget", "reconstruction", "inspection", "web"},
+    {"report", "demo", "bench", "budget", "reconstruction", "inspection", "notebook", "web"},
     {"viewer"},
     {"cli"},
 )

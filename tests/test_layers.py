@@ -10,12 +10,12 @@ import splatax
 ROOT = Path(splatax.__file__).parent
 LAYERS = (  # lowest first; a package stands for all its modules
     {"math", "errors"},
-    {"gaussians", "splats", "camera", "dataset", "similarity"},
+    {"gaussians", "splats", "camera", "dataset", "forecast", "resampling", "similarity"},
     {"native"},
     {"projection", "rasterizers", "losses", "metrics", "lpips", "io"},
     {"rendering", "paths"},
     {"training", "evaluation", "editing"},
-    {"report", "demo", "bench", "budget", "reconstruction", "inspection", "web"},
+    {"report", "demo", "bench", "budget", "reconstruction", "inspection", "notebook", "web"},
     {"viewer"},
     {"cli"},
 )

@@ -14,6 +14,7 @@ from splatax.gaussians import Gaussians as Gaussians
 from splatax.io.datasets import load_dataset as load_dataset
 from splatax.io.formats import load as load
 from splatax.io.formats import save as save
+from splatax.notebook import view as view
 from splatax.projection import Antialiasing as Antialiasing
 from splatax.projection import Dilation as Dilation
 from splatax.projection import project as project

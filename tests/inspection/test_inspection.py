@@ -1,6 +1,7 @@
 """The data doctor: each defect that is put into a capture is found, and none where there is none."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pycolmap
@@ -10,10 +11,12 @@ from scipy import ndimage
 
 import splatax as sx
 from captures import SIZE, model_of, pinhole, write_capture, write_transforms
-from splatax.inspection import examine, problems_of
+from splatax.budget import HEAVIER
+from splatax.inspection import examine, problems_of, seconds_to_train
 from splatax.inspection.looks import looks_of, robust_scores, spread
+from splatax.inspection.pace import mean_count
 from splatax.io.images import read
-from splatax.report.capture import capture_page
+from splatax.report.capture import capture_page, facts_of, roughly
 from splatax.report.plan import upright_frame
 
 COUNT = 24
@@ -167,3 +170,24 @@ def test_up_in_the_picture_is_where_photos_have_their_top():
     np.testing.assert_allclose(up, [0, 1, 0])
     np.testing.assert_allclose(away, [0, 0, -1])
     np.testing.assert_allclose(right, [1, 0, 0])
+
+
+def test_a_run_has_as_many_gaussians_in_the_mean_as_it_has_over_its_steps():
+    assert mean_count(1000, 1000) == 1000
+    steps = np.linspace(0, 1, 3001)
+    counts = 1000 * 64 ** np.minimum(3 * steps, 1)  # by equal factors in the first third
+    assert mean_count(1000, 64_000) == pytest.approx(counts.mean(), rel=0.01)
+
+
+def test_time_is_forecast_for_all_steps_of_the_default_recipe(capture, monkeypatch):
+    seconds = iter([9.0, *[20.0, 10.0] * 99])  # the first compiles
+    monkeypatch.setattr("splatax.inspection.pace.timed", lambda _: 1e3 * next(seconds))
+    dataset = sx.load_dataset(capture)
+    found = replace(examine(capture, dataset), seconds=seconds_to_train(dataset, 384))
+    assert found.seconds == pytest.approx(HEAVIER * 10 * 30_000)
+    (said,) = (value for label, value in facts_of(found) if label == "time to train")
+    assert said.startswith("about 120.8 hours for all 30,000 steps of the default recipe")
+
+
+def test_times_are_told_roughly():
+    assert [roughly(s) for s in (10, 61, 1300, 6000)] == ["1 minute", "1 minute", "22 minutes", "1.7 hours"]

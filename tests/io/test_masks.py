@@ -69,14 +69,6 @@ def test_masks_follow_the_size_of_the_view(capture, mask_size):
     assert_array_equal(view_of(capture, downscale=2).mask(), np.broadcast_to(LEFT[::2], (24, 32)))
 
 
-def test_a_pixel_counts_if_more_than_half_of_its_area_does():
-    mask = np.zeros((2, 6), bool)
-    mask[0, :3] = mask[1, 2] = True  # half of the first pixel's four, three of the next, none of the last
-    assert images.resize_mask(mask, 3, 1).tolist() == [[False, False, False]]
-    mask[0, 3] = True
-    assert images.resize_mask(mask, 3, 1).tolist() == [[False, True, False]]
-
-
 def test_masks_lose_the_distortion_that_their_photos_lose(tmp_path):
     """A photo that is its own mask's picture stays so."""
     lens = radial()

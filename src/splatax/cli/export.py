@@ -8,10 +8,11 @@ import numpy as np
 import tyro
 
 import splatax as sx
-from splatax import editing
+from splatax import editing, web
 from splatax.cli.evaluate import views_of
 from splatax.cli.options import (
     BackendName,
+    BackgroundName,
     Downscale,
     Model,
     background_of,
@@ -19,6 +20,7 @@ from splatax.cli.options import (
     read_model,
     resolve_backend,
 )
+from splatax.cli.page import is_page, write_page
 from splatax.errors import InputError
 from splatax.io import formats
 from splatax.projection import Antialiasing
@@ -38,9 +40,10 @@ class Export:
     model: tyro.conf.Positional[Path]
     """A splat file, or the folder of a run."""
     out: tyro.conf.Positional[Path]
-    """The file to write. Its suffix tells the format."""
+    """The file to write. Its suffix tells the format; .html makes a page, as splatax page does."""
     scene: Path | None = None
-    """Folder of the capture: measures PSNR before and after, and tells what its cameras see."""
+    """Folder of the capture: measures PSNR before and after, and tells what its cameras see. On a page,
+    they are places to look from."""
     merge: tuple[Path, ...] = ()
     """More splat files, in the same coordinates, to put in."""
     clean: bool = False
@@ -63,6 +66,10 @@ class Export:
     """Move by x y z, after all else."""
     spz_version: Literal[3, 4] | None = None
     """Of .spz: 3 (without this) is read by most software, 4 loads faster."""
+    title: str | None = None
+    """Of a page. Without it: the name of the model's folder or file."""
+    background: BackgroundName | None = None
+    """Behind the scene, on a page. Without it: as trained, else black."""
     downscale: Downscale | None = None
     """Divide the size of photos by this. "auto": the least that brings them to 1600 pixels."""
     backend: BackendName = "auto"
@@ -71,7 +78,6 @@ class Export:
     """Replace the file if there is one."""
 
     def run(self) -> None:
-        module = formats.format_of(self.out)
         self._check()
         model = read_model(self.model, None)
         dataset = load_scene(self.scene, self.downscale, model) if self.scene else None
@@ -83,21 +89,24 @@ class Export:
             edited = place.transform(edited)
         if len(edited) == 0:
             raise InputError(f"{self.out}: no Gaussians would be left. Crop or clean less.")
-        options = {"version": self.spz_version} if self.spz_version else {}
-        self.out.parent.mkdir(parents=True, exist_ok=True)
-        mark = formats.mark(isinstance(model.low_pass, Antialiasing))
-        sx.save(self.out, edited, comments=(mark,), **options)
-
-        before, after = model.path.stat().st_size, self.out.stat().st_size
-        print(f"{self.out}: {len(edited):,} Gaussians, {after / 1e6:.2f} MB ({before / after:.1f} x smaller)")
-        print(f"loses: {module.LOSES}")
+        if is_page(self.out):
+            views = moved(dataset.views, place) if dataset else ()
+            cameras = {view.name: view.camera for view in views}
+            write_page(self.out, replace(model, gaussians=edited), cameras, self.title, self.background)
+            print(f"loses: {web.LOSES}")
+            return
+        self._save(model, edited)
         if dataset:
             self._measure(model, dataset, place)
 
     def _check(self) -> None:
         """Refuses what cannot work before anything is computed."""
-        if not hasattr(formats.format_of(self.out), "save"):
+        if is_page(self.out):
+            web.require_viewer()
+        elif not hasattr(formats.format_of(self.out), "save"):
             raise InputError(f"{self.out}: can only be read. Write {', '.join(formats.suffixes('save'))}.")
+        elif self.title is not None or self.background is not None:
+            raise InputError(f"--title, --background: of pages alone, and {self.out} is no .html file.")
         if self.out.exists() and not self.overwrite:
             raise InputError(f"{self.out}: exists. Choose another name, or replace it: --overwrite.")
         if self.up and not self.scene:
@@ -108,6 +117,16 @@ class Export:
             raise InputError(f"--simplify: a whole number from 1, not {self.simplify}.")
         if not (0 < self.scale < np.inf and np.isfinite([*self.rotate, *self.move]).all()):
             raise InputError("--scale, --rotate, --move: must be finite numbers, and the scale above zero.")
+
+    def _save(self, model: Model, edited: sx.Gaussians) -> None:
+        """Writes a splat file. Says how large it is and what is lost."""
+        options = {"version": self.spz_version} if self.spz_version else {}
+        self.out.parent.mkdir(parents=True, exist_ok=True)
+        mark = formats.mark(isinstance(model.low_pass, Antialiasing))
+        sx.save(self.out, edited, comments=(mark,), **options)
+        before, after = model.path.stat().st_size, self.out.stat().st_size
+        print(f"{self.out}: {len(edited):,} Gaussians, {after / 1e6:.2f} MB ({before / after:.1f} x smaller)")
+        print(f"loses: {formats.format_of(self.out).LOSES}")
 
     def _selected(self, model: Model, dataset: sx.Dataset | None) -> sx.Gaussians:
         gaussians = model.gaussians
@@ -143,14 +162,18 @@ class Export:
 
     def _measure(self, model: Model, dataset: sx.Dataset, place: Similarity | None) -> None:
         views = views_of(dataset, "test" if dataset.test else "train", self.scene or Path())
-        moved = views
-        if place is not None:
-            moved = tuple(replace(view, camera=place.transform_camera(view.camera)) for view in views)
         background = background_of(model.options)
         backend = resolve_backend(self.backend)
         before, after = (
             sx.evaluate(g, v, background=background, low_pass=model.low_pass, backend=backend)
-            for g, v in ((model.gaussians, views), (sx.load(self.out), moved))
+            for g, v in ((model.gaussians, views), (sx.load(self.out), moved(views, place)))
         )
         kind = "test" if dataset.test else "training"
         print(f"PSNR of {len(views)} {kind} views: {before.psnr:.3f} dB before, {after.psnr:.3f} dB after")
+
+
+def moved(views: tuple[sx.View, ...], place: Similarity | None) -> tuple[sx.View, ...]:
+    """Views whose cameras go where the scene goes."""
+    if place is None:
+        return views
+    return tuple(replace(view, camera=place.transform_camera(view.camera)) for view in views)

@@ -1,7 +1,7 @@
 """`splatax inspect`: the data doctor."""
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import tyro
@@ -11,7 +11,7 @@ from rich.table import Table
 
 from splatax.cli.options import Downscale, load_scene
 from splatax.errors import InputError
-from splatax.inspection import examine, problems_of
+from splatax.inspection import examine, problems_of, seconds_to_train
 from splatax.io import images
 from splatax.io.datasets import DATASETS, folder_of
 from splatax.io.files import write_whole
@@ -24,8 +24,9 @@ COLORS = {"error": "red", "warning": "yellow"}
 class Inspect:
     """Look at a capture before training: what there is, what is wrong with it, and how to repair that.
 
-    Writes a page with all photos, and cameras and points in a picture. Photos that have no poses yet are
-    judged alone. Exit code 1 if a problem stops training or will spoil the scene.
+    Forecasts the memory and the time that training would take here. Writes a page with all photos, and
+    cameras and points in a picture. Photos that have no poses yet are judged alone. Exit code 1 if a
+    problem stops training or will spoil the scene.
     """
 
     scene: tyro.conf.Positional[Path]
@@ -42,6 +43,9 @@ class Inspect:
             load_scene(self.scene, self.downscale)  # says what it looked for
         dataset = load_scene(self.scene, self.downscale) if known else None
         found = examine(self.scene if known else folder, dataset)
+        if dataset is not None:
+            print("measuring the speed of this machine ...")
+            found = replace(found, seconds=seconds_to_train(dataset, found.gaussians))
         problems = problems_of(found)
         console = Console()
         table = Table(box=None, show_header=False, pad_edge=False)

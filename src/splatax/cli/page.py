@@ -1,13 +1,17 @@
 """`splatax page`: a scene as one HTML file that opens with a double click."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
 
 from splatax import web
-from splatax.cli.options import BackgroundName, LowPassName, background_of, load_scene, read_model
+from splatax.camera import Camera
+from splatax.cli.options import BackgroundName, LowPassName, Model, background_of, load_scene, read_model
 from splatax.errors import InputError
+
+SUFFIXES = (".html", ".htm")
 
 
 @dataclass(frozen=True)
@@ -34,24 +38,44 @@ class Page:
     """Replace the file if there is one."""
 
     def run(self) -> None:
-        if self.out.suffix.lower() not in (".html", ".htm"):
+        if not is_page(self.out):
             raise InputError(f"{self.out}: browsers open .html files. Give the page such a name.")
         if self.out.exists() and not self.overwrite:
             raise InputError(f"{self.out}: exists. Choose another name, or replace it: --overwrite.")
         model = read_model(self.model, self.low_pass)
         views = load_scene(self.scene, None, model).views if self.scene else ()
-        background = background_of(model.options, self.background)
-        self.out.parent.mkdir(parents=True, exist_ok=True)
-        web.save(
-            self.out,
-            model.gaussians,
-            title=self.title or _name(model.path),
-            cameras={view.name: view.camera for view in views},
-            background=background,
-            low_pass=model.low_pass,
-        )
-        size = self.out.stat().st_size / 1e6
-        print(f"{self.out}: {len(model.gaussians):,} Gaussians, {len(views)} cameras, {size:.1f} MB")
+        cameras = {view.name: view.camera for view in views}
+        write_page(self.out, model, cameras, self.title, self.background)
+
+
+def is_page(path: Path) -> bool:
+    """Whether the name is that of a page."""
+    return path.suffix.lower() in SUFFIXES
+
+
+def write_page(
+    out: Path, model: Model, cameras: Mapping[str, Camera], title: str | None, background: str | None
+) -> None:
+    """Writes the page of a model, and says how large it is.
+
+    Args:
+        out: the page.
+        model: with the Gaussians to show.
+        cameras: in the same coordinates, by name; may be empty.
+        title: without one, the name of the model's folder or file.
+        background: without one, as the model was trained.
+    """
+    out.parent.mkdir(parents=True, exist_ok=True)
+    web.save(
+        out,
+        model.gaussians,
+        title=title or _name(model.path),
+        cameras=cameras,
+        background=background_of(model.options, background),
+        low_pass=model.low_pass,
+    )
+    size = out.stat().st_size / 1e6
+    print(f"{out}: {len(model.gaussians):,} Gaussians, {len(cameras)} cameras, {size:.1f} MB")
 
 
 def _name(path: Path) -> str:

@@ -1,20 +1,19 @@
 """All that is measured of a capture, before anything is made of it."""
 
+import math
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from splatax import forecast
 from splatax.dataset import Dataset, View, mask_of
 from splatax.inspection.looks import Look, looks_of
 from splatax.io import images
 from splatax.training.recipes import room_for
 
 LOOKING, MASKS = 5.0, 24  # seconds for photos; masks that are decoded
-# Measured with the cpu backend and rounded up: a process that does nothing, and what each Gaussian and
-# each pixel of a view add to it in training. Of 600k Gaussians and views of 504 x 378, 1.1 GB.
-BASE_BYTES, GAUSSIAN_BYTES, PIXEL_BYTES = 0.55e9, 1_200, 150
 
 
 @dataclass(frozen=True)
@@ -31,6 +30,7 @@ class Examination:
         gaussians: how many the default recipe would use.
         memory: that training would then need, bytes.
         available: memory that is free here, bytes; None if unknown.
+        seconds: that training would then take; None if that was not measured.
     """
 
     path: Path
@@ -42,6 +42,7 @@ class Examination:
     gaussians: int = 0
     memory: int = 0
     available: int | None = None
+    seconds: float | None = None
 
     @property
     def views(self) -> tuple[View, ...]:
@@ -79,9 +80,10 @@ def examine(path: Path, dataset: Dataset | None) -> Examination:
 
 
 def memory_for(dataset: Dataset, gaussians: int) -> int:
-    """Bytes that training needs: decoded photos stay in memory, 8 bits a channel."""
-    pixels = [view.camera.width * view.camera.height for view in dataset.train]
-    return round(BASE_BYTES + 3 * sum(pixels) + PIXEL_BYTES * max(pixels) + GAUSSIAN_BYTES * gaussians)
+    """Bytes that training needs, of photos without alpha."""
+    sizes = [(view.camera.width, view.camera.height) for view in dataset.train]
+    photos_bytes = sum(3 * width * height for width, height in sizes)
+    return forecast.memory(gaussians, *max(sizes, key=math.prod), photos_bytes)
 
 
 def available_memory() -> int | None:

@@ -1,5 +1,6 @@
 """What is wrong with a capture, and what to do about each."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -7,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from splatax.inspection.examination import Examination
-from splatax.inspection.looks import robust_scores
+from splatax.inspection.looks import Look, robust_scores
 from splatax.io.datasets.photos import counted, listed
 
 FEW_VIEWS = 20
@@ -38,127 +39,106 @@ class Problem:
 
 def problems_of(found: Examination) -> list[Problem]:
     """All problems, the worst first."""
-    checks = (poses, registration, placement, errors, exposure, blur, masks, points, memory)
+    checks = (poses, registration, placement, errors, photos, masks, points, memory)
     problems = [problem for check in checks for problem in check(found)]
     return sorted(problems, key=lambda problem: problem.severity != "error")
 
 
-def poses(found: Examination) -> list[Problem]:
-    if found.dataset is not None:
-        return []
-    fix = f"splatax reconstruct {found.path} --out SCENE"
-    return [Problem("error", "The photos have no poses, so nothing can be trained on them yet.", fix)]
-
-
-def registration(found: Examination) -> list[Problem]:
+def poses(found: Examination) -> Iterator[Problem]:
     if found.dataset is None:
-        return []
-    problems = []
+        fix = f"splatax reconstruct {found.path} --out SCENE"
+        yield Problem("error", "The photos have no poses, so nothing can be trained on them yet.", fix)
+
+
+def registration(found: Examination) -> Iterator[Problem]:
+    if found.dataset is None:
+        return
     if unused := found.dataset.survey.unused:
-        problems.append(
-            Problem(
-                "warning",
-                f"{len(unused)} of {len(unused) + len(found.views)} photos have no pose: {listed(unused)}.",
-                "Take them again with more overlap, or leave them out; the scene is not seen from there.",
-            )
+        yield Problem(
+            "warning",
+            f"{len(unused)} of {len(unused) + len(found.views)} photos have no pose: {listed(unused)}.",
+            "Take them again with more overlap, or leave them out; the scene is not seen from there.",
         )
     if len(found.views) < FEW_VIEWS:
-        problems.append(
-            Problem(
-                "warning",
-                f"Only {counted(len(found.views))}.",
-                "Take 50 to 200, around the subject at two or three heights.",
-            )
+        yield Problem(
+            "warning",
+            f"Only {counted(len(found.views))}.",
+            "Take 50 to 200, around the subject at two or three heights.",
         )
-    return problems
 
 
-def placement(found: Examination) -> list[Problem]:
+def placement(found: Examination) -> Iterator[Problem]:
     if found.dataset is None or len(found.views) < 2:
-        return []
+        return
     positions = np.stack([np.asarray(view.camera.position, np.float64) for view in found.views])
     span = float(np.linalg.norm(positions - positions.mean(0), axis=1).max())
     cloud = found.dataset.points.positions
     distance = float(np.median(np.linalg.norm(cloud - positions.mean(0), axis=1))) if len(cloud) else 0.0
-    if span > LEVEL_SPAN * distance:
-        return []
-    return [
-        Problem(
+    if span <= LEVEL_SPAN * distance:
+        yield Problem(
             "error",
             "All photos are from one place, so they tell nothing about depth.",
             "Walk sideways or around the subject instead of turning on the spot.",
         )
-    ]
 
 
-def errors(found: Examination) -> list[Problem]:
+def errors(found: Examination) -> Iterator[Problem]:
     if not found.errors:
-        return []
+        return
     middle = float(np.median(list(found.errors.values())))
-    if middle > HIGH_ERROR:
-        return [
-            Problem(
-                "error" if middle > 4 * HIGH_ERROR else "warning",
-                f"Points project {middle:.1f} pixels from where they were seen, in the median photo.",
-                "Poses and photos do not belong together, or the lens was calibrated badly: use the very "
-                "photos that the poses were found from, or run splatax reconstruct again.",
-            )
-        ]
     bad = sorted(name for name, error in found.errors.items() if error > max(TWICE * middle, 1.0))
-    if not bad:
-        return []
-    return [
-        Problem(
+    if middle > HIGH_ERROR:
+        yield Problem(
+            "error" if middle > 4 * HIGH_ERROR else "warning",
+            f"Points project {middle:.1f} pixels from where they were seen, in the median photo.",
+            "Poses and photos do not belong together, or the lens was calibrated badly: use the very "
+            "photos that the poses were found from, or run splatax reconstruct again.",
+        )
+    elif bad:
+        yield Problem(
             "warning",
             f"{are(bad)} placed worse than the rest: {listed(bad)}.",
             "Remove them from the capture if they are blurred or something moved.",
         )
-    ]
 
 
-def exposure(found: Examination) -> list[Problem]:
+def photos(found: Examination) -> Iterator[Problem]:
+    """Of how they look: those that cannot be read apart, all others compared with each other."""
     seen = {name: look for name, look in found.looks.items() if not look.unreadable}
-    problems = []
     if broken := sorted(found.looks.keys() - seen.keys()):
         why = found.looks[broken[0]].unreadable
         what = f"{counted(len(broken))} cannot be read: {listed(broken)} ({why})."
-        problems.append(Problem("error", what, "Copy them from the camera again."))
-    levels = np.log2([max(look.luminance, 1e-3) for look in seen.values()])
-    for names, how in (
-        (outliers(list(seen), levels, LEAST_EXPOSURE, -1), "darker"),
-        (outliers(list(seen), levels, LEAST_EXPOSURE, +1), "brighter"),
-    ):
-        if names:
-            problems.append(
-                Problem(
-                    "warning",
-                    f"{are(names)} much {how} than the rest: {listed(names)}.",
-                    "Lock exposure and white balance, or leave these out.",
-                )
+        yield Problem("error", what, "Copy them from the camera again.")
+    if seen:
+        yield from exposure(seen)
+        yield from blur(seen)
+
+
+def exposure(looks: dict[str, Look]) -> Iterator[Problem]:
+    luminances = np.array([look.luminance for look in looks.values()])
+    levels = np.log2(np.maximum(luminances, 1e-3))
+    for sign, how in ((-1, "darker"), (+1, "brighter")):
+        if names := outliers(list(looks), levels, LEAST_EXPOSURE, sign):
+            yield Problem(
+                "warning",
+                f"{are(names)} much {how} than the rest: {listed(names)}.",
+                "Lock exposure and white balance, or leave these out.",
             )
-    if len(seen) and np.median([look.luminance for look in seen.values()]) < DARK:
-        problems.append(Problem("warning", "The photos are dark, so noise will be learned.", "Add light."))
-    if white := sorted(name for name, look in seen.items() if look.clipped > MUCH_WHITE):
+    if np.median(luminances) < DARK:
+        yield Problem("warning", "The photos are dark, so noise will be learned.", "Add light.")
+    if white := sorted(name for name, look in looks.items() if look.clipped > MUCH_WHITE):
         what = f"{are(white)} white over more than {MUCH_WHITE:.0%} of their area: {listed(white)}."
-        problems.append(
-            Problem("warning", what, "Expose for the bright parts, unless that is a white backdrop.")
-        )
-    return problems
+        yield Problem("warning", what, "Expose for the bright parts, unless that is a white backdrop.")
 
 
-def blur(found: Examination) -> list[Problem]:
-    seen = {name: look for name, look in found.looks.items() if not look.unreadable}
-    values = np.log([max(look.sharpness, 1e-3) for look in seen.values()])
-    names = outliers(list(seen), values, LEAST_SHARPNESS, -1)
-    if not names:
-        return []
-    return [
-        Problem(
+def blur(looks: dict[str, Look]) -> Iterator[Problem]:
+    values = np.log([max(look.sharpness, 1e-3) for look in looks.values()])
+    if names := outliers(list(looks), values, LEAST_SHARPNESS, -1):
+        yield Problem(
             "warning",
             f"{are(names)} blurred, compared with the rest: {listed(names)}.",
             "Leave them out, or take them again: stop before each photo, with a short exposure.",
         )
-    ]
 
 
 def are(names: list[str]) -> str:
@@ -174,42 +154,34 @@ def outliers(names: list[str], values: Float[np.ndarray, " n"], floor: float, si
     return [name for name, score in zip(names, scores, strict=True) if score > OUTLIER]
 
 
-def masks(found: Examination) -> list[Problem]:
-    hidden = sorted(name for name, share in found.coverage.items() if share < MOSTLY_HIDDEN)
-    if not hidden:
-        return []
-    return [
-        Problem(
+def masks(found: Examination) -> Iterator[Problem]:
+    if hidden := sorted(name for name, share in found.coverage.items() if share < MOSTLY_HIDDEN):
+        yield Problem(
             "warning",
             f"{len(hidden)} masks leave less than {MOSTLY_HIDDEN:.0%} of their photo: {listed(hidden)}.",
             "White counts and black does not: invert the masks if they are the other way round.",
         )
-    ]
 
 
-def points(found: Examination) -> list[Problem]:
-    if found.dataset is None or len(found.dataset.points) >= FEW_POINTS:
-        return []
+def points(found: Examination) -> Iterator[Problem]:
+    if found.dataset is None:
+        return
     count = len(found.dataset.points)
     if count == 0:
-        return [Problem("warning", "There are no points to start from.", "Train with --init random.")]
-    return [
-        Problem(
+        yield Problem("warning", "There are no points to start from.", "Train with --init random.")
+    elif count < FEW_POINTS:
+        yield Problem(
             "warning",
             f"Only {count} points to start from.",
             "splatax reconstruct --detail high finds more; or train with --init random.",
         )
-    ]
 
 
-def memory(found: Examination) -> list[Problem]:
-    if not found.memory or not found.available or found.memory < found.available:
-        return []
-    needed, free = found.memory / 1e9, found.available / 1e9
-    return [
-        Problem(
+def memory(found: Examination) -> Iterator[Problem]:
+    if found.memory and found.available and found.memory >= found.available:
+        needed, free = found.memory / 1e9, found.available / 1e9
+        yield Problem(
             "error",
             f"Training needs about {needed:.1f} GB, but {free:.1f} GB are free here.",
             f"Shrink photos: --downscale, or use fewer Gaussians: --max-gaussians {found.gaussians // 4}.",
         )
-    ]

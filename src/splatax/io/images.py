@@ -1,4 +1,4 @@
-"""Photos and pictures: decode, measure, resize, encode."""
+"""Photos and pictures: decode, measure, encode."""
 
 import io
 from pathlib import Path
@@ -66,32 +66,6 @@ def read_mask(path: Path) -> Mask:
         except (OSError, SyntaxError) as error:
             raise DatasetError(f"{path}: the mask is damaged ({error}). Make it again.") from error
     return np.any(shades != 0, axis=2)
-
-
-def resize(pixels: Pixels, width: int, height: int) -> Pixels:
-    """Shrinks by averaging the area that each new pixel covers; alpha weighs colour."""
-    if pixels.shape[:2] == (height, width):
-        return pixels
-    if pixels.shape[2] == 4:
-        alpha = pixels[..., 3:].astype(np.float64) / 255
-        premultiplied = _area_mean(pixels[..., :3] * alpha, width, height)
-        mean_alpha = _area_mean(alpha, width, height)
-        color = premultiplied / np.where(mean_alpha > 0, mean_alpha, 1)
-        pixels = np.concatenate([color, mean_alpha * 255], axis=2)
-        return np.round(pixels).astype(np.uint8)
-    return np.array(Image.fromarray(pixels).resize((width, height), Image.Resampling.BOX))
-
-
-def resize_mask(mask: Mask, width: int, height: int) -> Mask:
-    """A mask of another size: true where more than half of the area that a new pixel covers is."""
-    if mask.shape == (height, width):
-        return mask
-    return _area_mean(mask[..., None].astype(np.float32), width, height)[..., 0] > 0.5
-
-
-def _area_mean(values: np.ndarray, width: int, height: int) -> np.ndarray:
-    planes = [Image.fromarray(plane.astype(np.float32)) for plane in np.moveaxis(values, 2, 0)]
-    return np.stack([np.array(p.resize((width, height), Image.Resampling.BOX)) for p in planes], axis=2)
 
 
 def write(path: Path, pixels: UInt8[np.ndarray, "h w 3"]) -> None:

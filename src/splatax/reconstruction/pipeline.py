@@ -10,7 +10,6 @@ from pathlib import Path
 import pycolmap
 
 from splatax.errors import DatasetError, InputError
-from splatax.io import images
 from splatax.io.datasets.photos import counted
 from splatax.io.files import write_whole
 from splatax.reconstruction import diagnosis, mapping
@@ -19,6 +18,7 @@ from splatax.reconstruction.pairs import Exhaustive, Pairing, Sequential, Simila
 from splatax.reconstruction.photos import Photo, photos_in, read, save
 from splatax.reconstruction.video import is_video, pick_frames
 from splatax.reconstruction.writing import write_capture
+from splatax.resampling import resize
 
 RESULTS = ("sparse", "images")
 WORK = ".reconstruction"  # in the capture's folder, until it is finished
@@ -198,7 +198,7 @@ def shrink(
         try:
             if not (folder / name).exists():
                 width, height = shrunk_size(photo, longest_side)
-                save(folder / f"{name}.part", images.resize(read(photo), width, height))
+                save(folder / f"{name}.part", resize(read(photo), width, height))
                 (folder / f"{name}.part").rename(folder / name)
             shrunk[name] = photo
         except DatasetError as error:

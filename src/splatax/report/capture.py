@@ -9,6 +9,7 @@ from splatax.inspection import Examination, Problem
 from splatax.io.datasets.photos import sizes_of
 from splatax.report.page import fill
 from splatax.report.plan import plan
+from splatax.training.recipes import default
 
 LENSES = 4  # that are listed
 
@@ -45,7 +46,18 @@ def facts_of(found: Examination) -> list[tuple[str, str]]:
         free = f", {found.available / 1e9:.1f} GB are free here" if found.available else ""
         forecast = f"about {found.memory / 1e9:.1f} GB for {found.gaussians:,} Gaussians, as by default{free}"
         facts.append(("memory to train", forecast))
+    if found.seconds:
+        steps = f"all {default().steps:,} steps of the default recipe to {found.gaussians:,} Gaussians"
+        facts.append(
+            ("time to train", f"about {roughly(found.seconds)} for {steps}, as busy as it is here now")
+        )
     return facts
+
+
+def roughly(seconds: int | float) -> str:
+    """ "20 minutes", "2.5 hours"."""
+    minutes = max(round(seconds / 60), 1)
+    return f"{minutes} minute{'s' * (minutes > 1)}" if minutes < 90 else f"{seconds / 3600:.1f} hours"
 
 
 def verdict(problems: Sequence[Problem]) -> str:

@@ -5,12 +5,9 @@ Pixels of a divided photo are means of the full ones, so a camera of that size s
 
 from dataclasses import dataclass
 
-import numpy as np
-from jaxtyping import Bool
-from PIL import Image
-
 from splatax.camera import Camera
 from splatax.dataset import Mask, Pixels
+from splatax.resampling import ALL, resize, resize_mask
 
 
 @dataclass(frozen=True)
@@ -33,11 +30,5 @@ def divided(
 ) -> tuple[Camera, Pixels, Mask | None]:
     """A view with so many times fewer pixels a side, at least one. What a mask leaves out counts for none."""
     size = max(camera.width // divisor, 1), max(camera.height // divisor, 1)
-    smaller = np.asarray(Image.fromarray(photo).resize(size, Image.Resampling.BOX))
-    return camera.resized(*size), smaller, None if mask is None else _kept(mask, size)
-
-
-def _kept(mask: Mask, size: tuple[int, int]) -> Bool[np.ndarray, "_ _"]:
-    """Where all that a pixel covers counts."""
-    share = Image.fromarray(mask.astype(np.float32)).resize(size, Image.Resampling.BOX)
-    return np.asarray(share) > 1 - 1e-3
+    smaller = None if mask is None else resize_mask(mask, *size, above=ALL)
+    return camera.resized(*size), resize(photo, *size), smaller

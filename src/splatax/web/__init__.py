@@ -2,5 +2,6 @@
 
 from splatax.web.page import LOSES as LOSES
 from splatax.web.page import MAX_SH_DEGREE as MAX_SH_DEGREE
+from splatax.web.page import document as document
 from splatax.web.page import require_viewer as require_viewer
 from splatax.web.page import save as save

@@ -30,38 +30,51 @@ VIEWER = Path(__file__).parent / "viewer.js"  # built from web/ by `make page`
 CHUNK = 3 << 17  # bytes that come as one: progress is shown after each
 
 
-def save(
-    path: str | Path,
+def save(path: str | Path, gaussians: Gaussians, **options: Any) -> None:
+    """Writes a page that shows a scene: it opens with a double click, and asks the network for nothing.
+
+    Args:
+        path: of the page.
+        gaussians: the scene, with SH up to degree 3.
+        options: title and all others of `document`.
+
+    Raises:
+        InputError, FormatError: as `document`.
+    """
+    write_whole(Path(path), document(gaussians, name=str(path), **options).encode())
+
+
+def document(
     gaussians: Gaussians,
     *,
     title: str,
     cameras: Mapping[str, Camera] | None = None,
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
     low_pass: LowPass = Dilation(),
-) -> None:
-    """Writes a page that shows a scene: it opens with a double click, and asks the network for nothing.
+    name: str = "page",
+) -> str:
+    """The HTML of a page that shows a scene.
 
     The scene is put upright and scaled to an ordinary size, by its cameras.
 
     Args:
-        path: of the page.
         gaussians: the scene, with SH up to degree 3.
         title: any text.
         cameras: of the capture, by name: places to look from, and the way of the camera path.
         background: display-referred RGB behind the scene, in [0, 1].
         low_pass: as the scene was trained.
+        name: of the page, for errors.
 
     Raises:
         InputError: if the viewer has not been built.
         FormatError: if the scene is empty, or has harmonics that the viewer cannot draw.
     """
-    path = Path(path)
     viewer = _viewer()
     if len(gaussians) == 0:
-        raise FormatError(f"{path}: the scene has no Gaussians to show.")
+        raise FormatError(f"{name}: the scene has no Gaussians to show.")
     if gaussians.sh_degree > MAX_SH_DEGREE:
         raise FormatError(
-            f"{path}: a page shows SH up to degree {MAX_SH_DEGREE}, and the scene has degree "
+            f"{name}: a page shows SH up to degree {MAX_SH_DEGREE}, and the scene has degree "
             f"{gaussians.sh_degree}. Reduce it first: splatax export --sh-degree {MAX_SH_DEGREE}."
         )
     cameras = cameras or {}
@@ -76,7 +89,7 @@ def save(
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("splatax.web", "."), autoescape=True, undefined=jinja2.StrictUndefined
     )
-    html = environment.get_template("page.html").render(
+    return environment.get_template("page.html").render(
         title=title,
         count=len(gaussians),
         cameras=list(cameras),
@@ -84,7 +97,6 @@ def save(
         viewer=list(_chunks(gzip.compress(viewer, 9, mtime=0))),
         scene=list(_chunks(_spz(staged.place.transform(gaussians)))),
     )
-    write_whole(path, html.encode())
 
 
 def require_viewer() -> None:

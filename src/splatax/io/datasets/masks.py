@@ -12,6 +12,7 @@ import numpy as np
 from splatax.dataset import Mask, Pixels
 from splatax.errors import DatasetError
 from splatax.io import images
+from splatax.resampling import resize_mask
 
 FOLDER = "masks"
 
@@ -64,6 +65,6 @@ def decoder(
 def decode(
     path: Path, photo: tuple[int, int], straighten: Callable[[Pixels], Pixels], view: tuple[int, int]
 ) -> Mask:
-    mask = images.resize_mask(images.read_mask(path), *photo)
+    mask = resize_mask(images.read_mask(path), *photo)
     shades = np.repeat(np.where(mask, np.uint8(255), np.uint8(0))[..., None], 3, axis=2)
-    return images.resize_mask(straighten(shades)[..., 0] > 127, *view)
+    return resize_mask(straighten(shades)[..., 0] > 127, *view)

@@ -16,6 +16,7 @@ from splatax.errors import DatasetError
 from splatax.io import images
 from splatax.io.datasets import masks
 from splatax.io.datasets.undistortion import undistortion
+from splatax.resampling import resize
 
 RESIZED_FOLDERS = (2, 4, 8)  # images_2, images_4, images_8: photos that someone has shrunk already
 LARGEST_SIDE = 1600  # pixels, of photos that are loaded without being told a size (as INRIA's)
@@ -101,7 +102,7 @@ def camera_of(pinhole: pycolmap.Camera, cam_from_world: Float[np.ndarray, "3 4"]
 def decode_photo(
     path: Path, upright: bool, straighten: Callable[[Pixels], Pixels], width: int, height: int
 ) -> Pixels:
-    return images.resize(straighten(images.read(path, upright=upright)), width, height)
+    return resize(straighten(images.read(path, upright=upright)), width, height)
 
 
 def shrink_factor(sources: list[Source], already: int, downscale: int | None) -> float:

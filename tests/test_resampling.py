@@ -1,0 +1,39 @@
+"""Photos and masks of another size."""
+
+import numpy as np
+from numpy.testing import assert_array_equal
+
+from splatax.resampling import ALL, resize, resize_mask
+
+
+def test_new_pixels_are_means_of_what_they_cover():
+    photo = np.arange(4 * 6 * 3, dtype=np.uint8).reshape(4, 6, 3)
+    means = photo.reshape(2, 2, 3, 2, 3).mean(axis=(1, 3))
+    np.testing.assert_allclose(resize(photo, 3, 2), means, atol=0.5)  # rounded to whole levels
+
+
+def test_what_is_transparent_lends_no_colour():
+    photo = np.uint8([[[200, 100, 0, 255], [9, 9, 9, 0]]])
+    assert resize(photo, 1, 1).tolist() == [[[200, 100, 0, 128]]]
+    assert resize(np.uint8([[[9, 9, 9, 0]] * 2]), 1, 1).tolist() == [[[0, 0, 0, 0]]]
+
+
+def test_a_photo_of_that_size_stays_as_it_is():
+    photo = np.random.default_rng(0).integers(0, 255, (3, 5, 4)).astype(np.uint8)
+    assert_array_equal(resize(photo, 5, 3), photo)
+    assert_array_equal(resize_mask(photo[..., 0] > 9, 5, 3, above=ALL), photo[..., 0] > 9)
+
+
+def test_a_pixel_counts_if_more_than_half_of_its_area_does():
+    mask = np.zeros((2, 6), bool)
+    mask[0, :3] = mask[1, 2] = True  # half of the first pixel's four, three of the next, none of the last
+    assert resize_mask(mask, 3, 1).tolist() == [[False, False, False]]
+    mask[0, 3] = True
+    assert resize_mask(mask, 3, 1).tolist() == [[False, True, False]]
+
+
+def test_a_pixel_counts_only_where_all_of_its_area_does_if_that_is_asked_for():
+    mask = np.ones((6, 9), bool)
+    mask[0, 0] = False  # one of nine
+    assert resize_mask(mask, 3, 2, above=ALL).tolist() == [[False, True, True], [True] * 3]
+    assert resize_mask(mask, 3, 2).all()

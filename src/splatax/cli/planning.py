@@ -1,24 +1,96 @@
-"""What a run is planned by: the time that it may take."""
+"""What a run is planned by: the time that it may take, and the memory that there is."""
+
+import math
+import re
+from dataclasses import dataclass
 
 import splatax as sx
 from splatax.budget import Plan, measured, plan
 from splatax.cli.display import duration
-from splatax.training.recipes import room_for
+from splatax.cli.platform import physical_memory
+from splatax.dataset import Dataset
+from splatax.errors import InputError
+from splatax.forecast import memory, most_gaussians
+
+UNITS = {"": 1, "B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "MIB": 2**20, "GIB": 2**30}
+PHOTOS_SHARE = 0.5  # of all memory, or of what is left of the limit: the most that decoded photos may take
 
 
-def within(seconds: float, recipe: sx.Recipe, dataset: sx.Dataset, most: int | None) -> Plan:
+def parse_bytes(text: str) -> int:
+    """Bytes from "4GB", "800MB" or "2GiB".
+
+    Raises:
+        InputError: if it is something else, or not positive.
+    """
+    match = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*([A-Z]*)\s*", text.upper())
+    if not match or match[2] not in UNITS or not float(match[1]):
+        raise InputError(f"--memory: a size such as 4GB or 800MB, not {text!r}.")
+    return round(float(match[1]) * UNITS[match[2]])
+
+
+@dataclass(frozen=True)
+class Room:
+    """What there is memory for.
+
+    Attributes:
+        gaussians: the most that the scene may grow to.
+        photos: bytes of decoded photos that are kept; the others are read again for each step.
+    """
+
+    gaussians: int | float = math.inf
+    photos: int | float = math.inf
+
+
+def room_within(limit: str | None, dataset: Dataset, first: int) -> Room:
+    """What a run may use of the memory. Says so where that is less than it might want.
+
+    Args:
+        limit: of the whole process, as the user gives it; None for what the machine has.
+        dataset: the capture.
+        first: Gaussians to start from.
+
+    Raises:
+        InputError: if not even the start fits.
+    """
+    if limit is None:
+        return Room(photos=PHOTOS_SHARE * (physical_memory() or math.inf))
+    size = (
+        max(view.camera.width for view in dataset.train),
+        max(view.camera.height for view in dataset.train),
+    )
+    total, least = parse_bytes(limit), memory(first, *size)
+    if total < least:
+        raise InputError(
+            f"--memory {limit}: the start alone takes about {gigabytes(least)}, with {first:,} Gaussians and "
+            f"photos of {size[0]} x {size[1]}. Give more, or make the photos smaller: --downscale."
+        )
+    wanted = sum(3 * view.camera.width * view.camera.height for view in dataset.train)
+    photos = min(wanted, PHOTOS_SHARE * (total - least))
+    room = Room(most_gaussians(total, *size, round(photos)), photos)
+    kept = "all photos" if photos == wanted else f"{gigabytes(photos)} of {gigabytes(wanted)} of photos"
+    print(f"within {gigabytes(total)}: room for {room.gaussians:,} Gaussians and {kept}")
+    return room
+
+
+def gigabytes(size: int | float) -> str:
+    """In words."""
+    return f"{size / 1e9:.2f} GB"
+
+
+def within(seconds: int | float, recipe: sx.Recipe, dataset: sx.Dataset, room: int, most: int | None) -> Plan:
     """The numbers of steps and Gaussians that fit into a time, by the speed of this machine. Says them.
 
     Args:
         seconds: for the whole run.
         recipe: `default`, for some number of steps.
         dataset: the capture.
-        most: how many Gaussians there shall be; None for as many as suit.
+        room: how many Gaussians there may be.
+        most: how many there shall be; None for as many as suit.
     """
     print("measuring the speed of this machine ...")
     camera = dataset.train[0].camera
     costs = measured((camera.width, camera.height), recipe)
-    chosen = plan(costs, seconds, recipe.initialization.number(dataset), room_for(dataset), most)
+    chosen = plan(costs, seconds, recipe.initialization.number(dataset), room, most)
     print(
         f"about {chosen.steps:,} steps and {chosen.max_gaussians:,} Gaussians in {duration(seconds)}, at "
         f"{1e3 * costs.step(chosen.max_gaussians):.0f} ms a step in the end"

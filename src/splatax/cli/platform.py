@@ -44,6 +44,14 @@ def peak_memory() -> int | None:
     return used if sys.platform == "darwin" else used * 1024
 
 
+def physical_memory() -> int | None:
+    """Of this machine, bytes; None where the system does not tell."""
+    try:
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):  # Windows has no sysconf
+        return None
+
+
 def versions() -> dict[str, str]:
     """Of what decides a result."""
     return {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}

@@ -15,11 +15,13 @@ from splatax.cli.platform import device, peak_memory, versions
 from splatax.dataset import mask_of
 from splatax.evaluation import PROTOCOL, Scores, ViewScore, photo_of, picture, score
 from splatax.io import formats
+from splatax.io.datasets import colmap_writing
 from splatax.io.files import write_whole
 from splatax.projection import Antialiasing
 from splatax.report.history import Evaluation, History
 from splatax.report.page import Comparison, report
 from splatax.report.pictures import animation
+from splatax.training.refinement import Given, refined
 
 
 @dataclass(frozen=True)
@@ -112,6 +114,31 @@ class Run:
             "peak memory": f"{used / 1e9:.2f} GB" if used else "unknown",
             "device": device(),
         }
+
+
+def keep_cameras(out: Path, dataset: sx.Dataset, recipe: sx.Recipe, last: sx.Progress) -> None:
+    """Writes the cameras as a COLMAP model if they were refined, those of held-out photos as given."""
+    if isinstance(recipe.refinement, Given):
+        return
+    state = last.state.train
+    found = refined(recipe.refinement, state.cameras, dataset.train, state.extent)
+    colmap_writing.save(out / "refined", (*found, *dataset.test), dataset.points)
+    print(f"cameras {out / 'refined' / colmap_writing.PLACE}")
+
+
+def conclude(run: Run) -> None:
+    """Writes the results and says where they are."""
+    scores = run.write()
+    if run.history.bad_steps or run.history.broken:
+        print(
+            f"{run.history.bad_steps:,} steps had no finite loss and changed nothing; {run.history.broken:,} "
+            "Gaussians that were not finite were removed"
+        )
+    if scores:
+        print(
+            f"test PSNR {scores.psnr:.2f} dB, SSIM {scores.ssim:.4f} over {len(scores.views)} held-out photos"
+        )
+    print(f"scene   {run.out / 'scene.ply'}\nreport  {run.out / 'report.html'}")
 
 
 def protocol(background: tuple[float, float, float]) -> dict[str, str]:

@@ -1,5 +1,6 @@
 """One run as the command line makes it: training, watched."""
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -84,6 +85,7 @@ class Session:
         changes: of the number of steps.
         eval_every: steps between evaluations of the test views; 0 for none.
         audience: who may look on; None for nobody.
+        photo_room: bytes of memory for decoded photos.
         interruption: how the user may ask for an early end.
     """
 
@@ -94,6 +96,7 @@ class Session:
     changes: Changes
     eval_every: int = 0
     audience: Audience | None = None
+    photo_room: int | float = math.inf
     interruption: Interruption = field(default_factory=Interruption)
 
     def train(self, start: RunState | None = None) -> sx.Progress:
@@ -106,7 +109,7 @@ class Session:
         with Display(self.recipe.steps) as display, self.interruption:
             display.announce("compiling the first step")
             watch = Stopwatch(history.train_seconds)
-            for progress in sx.optimize(self.dataset, self.recipe, start, self.changes):
+            for progress in sx.optimize(self.dataset, self.recipe, start, self.changes, self.photo_room):
                 history.losses.append(progress.loss)
                 history.counts.append(progress.count)
                 history.interrupted = self.interruption.requested and progress.step < progress.total

@@ -21,21 +21,21 @@ from splatax.cli.options import (
     load_scene,
     resolve_backend,
 )
-from splatax.cli.planning import within
-from splatax.cli.results import Run
+from splatax.cli.planning import Room, room_within, within
+from splatax.cli.results import Run, conclude, keep_cameras
 from splatax.cli.resume import Earlier, facts, find
 from splatax.cli.runs import finished
 from splatax.cli.session import Session, claim
 from splatax.cli.view import audience
 from splatax.errors import InputError
-from splatax.io.datasets import colmap_writing
 from splatax.projection import LOW_PASSES
 from splatax.report.history import History
 from splatax.training.appearance import APPEARANCES
 from splatax.training.backgrounds import BACKGROUNDS
+from splatax.training.density import Classic
 from splatax.training.initialize import InFrusta
 from splatax.training.recipes import RECIPES, room_for
-from splatax.training.refinement import REFINEMENTS, Given, refined
+from splatax.training.refinement import REFINEMENTS
 from splatax.viewer.server import LOCAL, PORT
 
 WATCHING = {"view", "host", "port"}
@@ -62,6 +62,9 @@ class Train:
     budget: str | None = None
     """Train for so long, such as 30s, 5min or 1h: plans --steps and --max-gaussians by the measured speed
     of this machine, and keeps to the time by the clock. config.json then has what --repeat repeats."""
+    memory: str | None = None
+    """The most memory to use, such as 4GB: limits --max-gaussians, and photos that do not fit are read
+    again for each step. Without it: what scene and photos want, but for photos half of what there is."""
     steps: int = 30_000
     """How many photos to learn from, one after the other."""
     downscale: Downscale = "auto"
@@ -172,10 +175,9 @@ class Train:
         out = earlier.run if earlier else self.out or Path("runs") / scene.resolve().name
         claim(out, self.overwrite or earlier is not None)
         settled = replace(self, scene=scene, background=self.background or dataset.background)
-        if self.budget is not None and earlier is None:
-            most = None if self.max_gaussians == "auto" else self.max_gaussians
-            chosen = within(parse_seconds(self.budget), settled.to_recipe(dataset), dataset, most)
-            settled = replace(settled, steps=chosen.steps, max_gaussians=chosen.max_gaussians)
+        room = room_within(self.memory, dataset, settled.to_recipe(dataset).initialization.number(dataset))
+        if earlier is None:
+            settled = settled.planned(dataset, room)
         recipe = settled.to_recipe(dataset)
         checkpoints = Checkpoints(
             out,
@@ -189,11 +191,12 @@ class Train:
             print(f"going on after step {history.steps:,} of {int(state.train.total):,}")
         watched = audience(dataset, recipe, self.host, self.port) if self.view else nullcontext()
         with checkpoints, watched as watchers:
-            session = Session(dataset, recipe, checkpoints, history, changes, self.eval_every, watchers)
-            last = session.train(state)
-            conclude(
-                Run(scene.resolve().name, dataset, recipe, history, last.gaussians, asdict(settled), out)
+            session = Session(
+                dataset, recipe, checkpoints, history, changes, self.eval_every, watchers, room.photos
             )
+            last = session.train(state)
+            title, options = scene.resolve().name, asdict(settled)
+            conclude(Run(title, dataset, recipe, history, last.gaussians, options, out))
             keep_cameras(out, dataset, recipe, last)
         if history.interrupted:
             print(f"stopped at step {history.steps:,}. Go on: splatax train --resume {out}")
@@ -216,6 +219,30 @@ class Train:
                 f"{self.scene}: the capture has no points to start from. Start at random: --init random."
             )
         return dataset
+
+    def planned(self, dataset: sx.Dataset, room: Room) -> "Train":
+        """The same with the numbers of steps and Gaussians that fit into the budget and the memory.
+
+        Raises:
+            InputError: if more Gaussians are asked for than there is room for.
+        """
+        asked = None if self.max_gaussians == "auto" else self.max_gaussians
+        if asked and asked > room.gaussians:
+            raise InputError(
+                f"--max-gaussians {asked}: --memory {self.memory} has room for {room.gaussians:,}. "
+                "Give more memory, or ask for fewer."
+            )
+        fit = int(min(self.most(dataset), room.gaussians))
+        if self.budget is not None:
+            chosen = within(parse_seconds(self.budget), self.to_recipe(dataset), dataset, fit, asked)
+            return replace(self, steps=chosen.steps, max_gaussians=chosen.max_gaussians)
+        return self if fit == self.most(dataset) else replace(self, max_gaussians=fit)
+
+    def most(self, dataset: sx.Dataset) -> int:
+        """How many Gaussians there may be, but for memory."""
+        if self.max_gaussians != "auto":
+            return self.max_gaussians
+        return Classic.max_gaussians if self.recipe in ("classic", "absgrad") else room_for(dataset)
 
     def refuse_what_is_out_of_range(self) -> None:
         """Raises InputError if a number makes no sense."""
@@ -244,10 +271,7 @@ class Train:
         Raises:
             InputError: if the backend cannot run here.
         """
-        most = {"max_gaussians": self.max_gaussians}
-        if self.max_gaussians == "auto":
-            most = {} if self.recipe in ("classic", "absgrad") else {"max_gaussians": room_for(dataset)}
-        recipe = RECIPES[self.recipe](steps=self.steps, **most)
+        recipe = RECIPES[self.recipe](steps=self.steps, max_gaussians=self.most(dataset))
         start = recipe.initialization
         if self.init == "random":
             start = InFrusta(opacity=start.opacity, scale=start.scale)
@@ -261,28 +285,3 @@ class Train:
             backend=resolve_backend(self.backend),
             seed=self.seed,
         )
-
-
-def keep_cameras(out: Path, dataset: sx.Dataset, recipe: sx.Recipe, last: sx.Progress) -> None:
-    """Writes the cameras as a COLMAP model if they were refined, those of held-out photos as given."""
-    if isinstance(recipe.refinement, Given):
-        return
-    state = last.state.train
-    found = refined(recipe.refinement, state.cameras, dataset.train, state.extent)
-    colmap_writing.save(out / "refined", (*found, *dataset.test), dataset.points)
-    print(f"cameras {out / 'refined' / colmap_writing.PLACE}")
-
-
-def conclude(run: Run) -> None:
-    """Writes the results and says where they are."""
-    scores = run.write()
-    if run.history.bad_steps or run.history.broken:
-        print(
-            f"{run.history.bad_steps:,} steps had no finite loss and changed nothing; {run.history.broken:,} "
-            "Gaussians that were not finite were removed"
-        )
-    if scores:
-        print(
-            f"test PSNR {scores.psnr:.2f} dB, SSIM {scores.ssim:.4f} over {len(scores.views)} held-out photos"
-        )
-    print(f"scene   {run.out / 'scene.ply'}\nreport  {run.out / 'report.html'}")

@@ -1,6 +1,8 @@
 """Training views in random order, as batches for the device."""
 
+import math
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import count, islice
 from typing import NamedTuple
@@ -11,9 +13,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Int, UInt8
 
 from splatax.camera import Camera
-from splatax.dataset import Mask, Pixels, View, mask_of
-from splatax.errors import DatasetError
-from splatax.training.resolution import Resolution, divided
+from splatax.dataset import Mask, Pixels, View
+from splatax.training.album import Album
+from splatax.training.resolution import Resolution
 
 
 class Source(NamedTuple):
@@ -39,31 +41,33 @@ class Batch:
 
 
 def batches(
-    views: Sequence[View], seed: int, start: int = 0, resolution: Resolution = Resolution()
+    views: Sequence[View],
+    seed: int,
+    start: int = 0,
+    resolution: Resolution = Resolution(),
+    room: int | float = math.inf,
 ) -> Iterator[Batch]:
-    """All views in a new random order, again and again. Photos are decoded once and kept, 8-bit.
+    """All views in a new random order, again and again, each read while the one before is learned from.
 
     Args:
         views: at least one.
         seed: of the order.
         start: how many batches to leave out; the rest are the same as without.
         resolution: of each step; the first batch is for step 1.
+        room: for decoded photos, bytes.
     """
-    decoded: dict[int, tuple[Pixels, Mask | None]] = {}
-    smaller: dict[tuple[int, int], Batch] = {}
+    album = Album(views, room)
     origin = sources(views)
     indices = islice(order(len(views), seed, start // len(views)), start % len(views), None)
-    for step, index in enumerate(indices, start + 1):
-        view, divisor = views[index], resolution.divisor(step)
-        if index not in decoded:
-            decoded[index] = checked(view), mask_of(view)
-        if divisor == 1:
-            smaller.clear()
-            yield batch(view.camera, *decoded[index], origin[index])
-            continue
-        if (index, divisor) not in smaller:
-            smaller[index, divisor] = batch(*divided(view.camera, *decoded[index], divisor), origin[index])
-        yield smaller[index, divisor]
+    wanted = ((index, resolution.divisor(step)) for step, index in enumerate(indices, start + 1))
+    with ThreadPoolExecutor(1) as reader:
+        index, divisor = next(wanted)
+        coming = reader.submit(album.frame, index, divisor)
+        while True:
+            here, frame = index, coming.result()
+            index, divisor = next(wanted)
+            coming = reader.submit(album.frame, index, divisor)
+            yield batch(*frame, origin[here])
 
 
 def batch(camera: Camera, photo: Pixels, mask: Mask | None, source: Source) -> Batch:
@@ -87,17 +91,3 @@ def order(views: int, seed: int, epoch: int) -> Iterator[int]:
     """Indices of views from an epoch on: each epoch's order depends on the seed and its number alone."""
     for number in count(epoch):
         yield from np.random.default_rng((seed, number)).permutation(views).tolist()
-
-
-def checked(view: View) -> Pixels:
-    """The view's photo.
-
-    Raises:
-        DatasetError: if it is not of the camera's size.
-    """
-    pixels = view.pixels()
-    height, width = pixels.shape[:2]
-    if (width, height) != (view.camera.width, view.camera.height):
-        expected = f"{view.camera.width} x {view.camera.height}"
-        raise DatasetError(f"{view.name}: the photo has {width} x {height} pixels, its camera {expected}.")
-    return pixels

@@ -1,5 +1,6 @@
 """Training as a generator: progress bars, evaluation and viewers are `for` loops over it."""
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
@@ -84,6 +85,7 @@ def optimize(
     recipe: Recipe,
     start: RunState | None = None,
     pace: Callable[[int], int | None] | None = None,
+    photo_room: int | float = math.inf,
 ) -> Iterator[Progress]:
     """Trains a scene, and yields after each step. The same arguments give the same scene.
 
@@ -93,6 +95,7 @@ def optimize(
         start: a run of the same data set and recipe, to go on as if it had never stopped. It is used up.
         pace: asked after each step, once it has been yielded; may say how many steps the run shall have
             from now on instead of the recipe's.
+        photo_room: bytes of memory for decoded photos; those that do not fit are read for each step.
 
     Raises:
         DatasetError: if there are no training views, or nothing to start from that they see.
@@ -108,7 +111,7 @@ def optimize(
         require_visible(gaussians, dataset)
         padded = pad(gaussians, bucket_for(len(gaussians)))
         start = RunState(first_state(padded, recipe, dataset.extent, len(dataset.train)), len(gaussians))
-    yield from _steps(dataset, recipe, start, pace or (lambda step: None))
+    yield from _steps(dataset, recipe, start, pace or (lambda step: None), photo_room)
 
 
 def first_state(gaussians: Gaussians, recipe: Recipe, extent: float, photos: int) -> TrainState:
@@ -135,14 +138,19 @@ def _keys(recipe: Recipe) -> tuple[PRNGKeyArray, PRNGKeyArray]:
 
 
 def _steps(
-    dataset: Dataset, recipe: Recipe, start: RunState, pace: Callable[[int], int | None]
+    dataset: Dataset,
+    recipe: Recipe,
+    start: RunState,
+    pace: Callable[[int], int | None],
+    photo_room: int | float,
 ) -> Iterator[Progress]:
     state, count = start.train, start.count
     _, refine_key = _keys(recipe)
     done, total = int(state.step), int(state.total)
     if done >= total:
         raise ValueError(f"nothing left to do: {done} of {total} steps are made")
-    for step, batch in enumerate(batches(dataset.train, recipe.seed, done, recipe.resolution), done + 1):
+    feed = batches(dataset.train, recipe.seed, done, recipe.resolution, photo_room)
+    for step, batch in enumerate(feed, done + 1):
         state, loss = train_step(state, batch, recipe)
         if recipe.density.due(step):
             gaussians, broken = without_broken(state.gaussians)

@@ -29,6 +29,8 @@ def divided(
     camera: Camera, photo: Pixels, mask: Mask | None, divisor: int
 ) -> tuple[Camera, Pixels, Mask | None]:
     """A view with so many times fewer pixels a side, at least one. What a mask leaves out counts for none."""
+    if divisor == 1:
+        return camera, photo, mask
     size = max(camera.width // divisor, 1), max(camera.height // divisor, 1)
     smaller = None if mask is None else resize_mask(mask, *size, above=ALL)
     return camera.resized(*size), resize(photo, *size), smaller

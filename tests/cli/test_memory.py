@@ -1,0 +1,60 @@
+"""Runs that are to keep within a given memory."""
+
+import json
+import re
+
+import pytest
+
+import splatax as sx
+from splatax import cli
+from splatax.cli.planning import parse_bytes, room_within
+from splatax.errors import InputError
+from splatax.forecast import memory
+from training.test_training import SIZE
+from training.test_training import capture as made
+
+
+def test_sizes_are_read_with_their_units():
+    assert [parse_bytes(text) for text in ("4GB", "800 mb", "2GiB", "1.5gb", "5")] == [
+        4_000_000_000,
+        800_000_000,
+        2**31,
+        1_500_000_000,
+        5,
+    ]
+
+
+@pytest.mark.parametrize("text", ["", "GB", "-4GB", "0MB", "4 elephants"])
+def test_what_is_no_size_is_refused(text):
+    with pytest.raises(InputError, match="a size such as 4GB"):
+        parse_bytes(text)
+
+
+def test_the_room_is_as_large_as_the_limit_but_not_larger():
+    room = room_within("2GB", made(), first=100)
+    photos = 3 * SIZE[0] * SIZE[1] * len(made().train)
+    assert room.photos == photos
+    assert memory(room.gaussians, *SIZE, photos) <= 2_000_000_000 < memory(room.gaussians + 2, *SIZE, photos)
+
+
+def test_a_limit_that_the_start_exceeds_is_refused_with_the_numbers(capture, tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        cli.main(["train", str(capture), "--out", str(tmp_path / "run"), "--memory", "100MB"])
+    assert re.search(r"start alone takes about 0\.\d\d GB, with 30 Gaussians", capsys.readouterr().err)
+
+
+def test_more_gaussians_than_there_is_room_for_are_refused_with_the_numbers(capture, tmp_path, capsys):
+    options = ["--memory", "700MB", "--max-gaussians", "1000000"]
+    with pytest.raises(SystemExit):
+        cli.main(["train", str(capture), "--out", str(tmp_path / "run"), *options])
+    assert "--max-gaussians 1000000: --memory 700MB has room for" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("recipe", ["default", "classic"])
+def test_a_limit_lowers_the_number_of_gaussians_and_is_written_down(recipe, capture, tmp_path, monkeypatch):
+    monkeypatch.setattr("splatax.cli.planning.most_gaussians", lambda *_: 37)
+    options = ["--memory", "4GB", "--steps", "30", "--recipe", recipe]
+    cli.main(["train", str(capture), "--out", str(tmp_path), *options])
+    config = json.loads((tmp_path / "config.json").read_text())
+    assert config["options"]["max_gaussians"] == 37
+    assert len(sx.load(tmp_path / "scene.ply")) <= 37

@@ -1,0 +1,61 @@
+"""Photos are kept while there is room, and the order and contents of batches do not depend on it."""
+
+from collections import Counter
+from dataclasses import replace
+from itertools import islice
+
+import jax
+import numpy as np
+import pytest
+
+from splatax.errors import DatasetError
+from splatax.training.album import Album
+from splatax.training.feed import batches
+from splatax.training.resolution import Resolution
+from training.test_training import SIZE, capture
+
+BYTES = 3 * SIZE[0] * SIZE[1]
+
+
+def counted(views):
+    """The views, and how often each has been decoded."""
+    times = Counter()
+
+    def counting(view):
+        def pixels():
+            times[view.name] += 1
+            return view.pixels()
+
+        return replace(view, pixels=pixels)
+
+    return tuple(counting(view) for view in views), times
+
+
+@pytest.mark.parametrize(("photos", "kept"), [(0, 0), (1.5, 1), (100, 100)])
+def test_photos_that_fit_are_decoded_once_and_the_others_each_time(photos, kept):
+    views, times = counted(capture().train)
+    album = Album(views, room=photos * BYTES)
+    for _ in range(3):
+        for index in range(len(views)):
+            album.frame(index, 1)
+    assert sorted(times.values()) == sorted([1] * min(kept, len(views)) + [3] * max(len(views) - kept, 0))
+
+
+@pytest.mark.parametrize("resolution", [Resolution(), Resolution(((4, 2),))])
+def test_batches_are_the_same_with_and_without_room(resolution):
+    views = capture().train
+    with_room = islice(batches(views, 3, 0, resolution), 12)
+    without = islice(batches(views, 3, 0, resolution, room=0), 12)
+    for one, other in zip(with_room, without, strict=True):
+        for first, second in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+            np.testing.assert_array_equal(first, second)
+
+
+def test_a_photo_that_cannot_be_read_ends_the_run_with_its_name():
+    def broken():
+        raise DatasetError("photo 2: damaged")
+
+    views = capture().train
+    views = (*views[:-1], replace(views[-1], pixels=broken))
+    with pytest.raises(DatasetError, match="photo 2: damaged"):
+        list(islice(batches(views, 0), len(views)))

@@ -156,6 +156,17 @@ def test_points_that_coincide_get_a_small_but_positive_size():
     assert np.all(np.isfinite(FromPoints()(replace(dataset, points=same), 0, 0).log_scales))
 
 
+def test_points_that_stand_alone_are_left_out_and_no_others():
+    rng = np.random.default_rng(0)
+    near, far = rng.normal(size=(500, 3)), 1e3 + 400 * np.arange(6).reshape(2, 3)
+    same = np.zeros((300, 3))  # as if half of all were found twice
+    points = np.concatenate([near, far, same]).astype(np.float32)
+    dataset = replace(capture(), points=sx.PointCloud(points, np.zeros_like(points)))
+    means = np.asarray(FromPoints()(dataset, 0, 0).means)
+    np.testing.assert_array_equal(means, np.concatenate([near, same]).astype(np.float32))
+    assert len(FromPoints(isolation=np.inf)(dataset, 0, 0)) == len(points)
+
+
 def test_random_start_fills_what_the_cameras_see():
     dataset = capture()
     gaussians = InFrusta(count=3000)(dataset, 0, seed=1)

@@ -1,10 +1,11 @@
 """The first Gaussians: from points of structure from motion, or at random where cameras look."""
 
+import math
 from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from splatax.camera import Camera
 from splatax.dataset import Dataset
@@ -19,13 +20,17 @@ SMALLEST = 0.01  # of the median distance between neighbours: size of points tha
 
 @dataclass(frozen=True)
 class FromPoints:
-    """A round Gaussian on each point, as large as its neighbours are far (Kerbl et al. 2023)."""
+    """A round Gaussian on each point, as large as its neighbours are far (Kerbl et al. 2023).
+
+    Points that stand alone are mostly wrong, and would be the largest Gaussians: they are left out.
+    """
 
     opacity: float = 0.1
     scale: float = 1.0  # times the root mean square distance to the 3 nearest points
+    isolation: float = 6.0  # how far is too far: robust standard deviations of the log of that distance
 
     def number(self, dataset: Dataset) -> int:
-        """How many there will be."""
+        """How many there will be, but for points that stand alone."""
         return len(dataset.points)
 
     def __call__(self, dataset: Dataset, sh_degree: int, seed: int) -> Gaussians:
@@ -40,9 +45,9 @@ class FromPoints:
                 "The capture has no points to start from. Start at random: --init random, or "
                 "Recipe(initialization=InFrusta())."
             )
-        return _round_gaussians(
-            points.positions, points.colors, self.opacity, self.scale, sh_degree, dataset.extent
-        )
+        kept = ~isolated(points.positions, self.isolation)
+        positions, colors = points.positions[kept], points.colors[kept]
+        return _round_gaussians(positions, colors, self.opacity, self.scale, sh_degree, dataset.extent)
 
 
 @dataclass(frozen=True)
@@ -73,6 +78,18 @@ class InFrusta:
             positions[rows] = unproject(camera, pixels[rows], 1 / inverse_depth[rows])
         colors = rng.uniform(size=(self.count, 3)).astype(np.float32)
         return _round_gaussians(positions, colors, self.opacity, self.scale, sh_degree, dataset.extent)
+
+
+def isolated(positions: Float[np.ndarray, "n 3"], deviations: float) -> Bool[np.ndarray, " n"]:
+    """Which points stand alone: their neighbours are far by the measure of all points, 10 times as far at
+    least as is usual."""
+    distances = np.sqrt(mean_squared_distances(positions))
+    apart = np.log(distances[distances > 0])
+    if not len(apart):
+        return np.zeros(len(positions), bool)
+    usual = np.median(apart)
+    spread = 1.4826 * np.median(np.abs(apart - usual))  # the standard deviation, if they were normal
+    return distances > np.exp(usual + max(deviations * spread, math.log(10)))
 
 
 def require_visible(gaussians: Gaussians, dataset: Dataset) -> None:

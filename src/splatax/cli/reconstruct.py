@@ -15,6 +15,7 @@ from splatax.errors import InputError
 from splatax.reconstruction import Outcome, pipeline, reconstruct
 from splatax.reconstruction.mapping import Features
 from splatax.reconstruction.pairs import Exhaustive, Pairing, Sequential, Similar
+from splatax.reconstruction.work import clear
 
 PAIRINGS: dict[str, Pairing | None] = {
     "auto": None,
@@ -56,7 +57,7 @@ class Reconstruct:
         if self.frames < pipeline.FEWEST:
             raise InputError(f"--frames: at least {pipeline.FEWEST}, not {self.frames}.")
         if self.overwrite:
-            pipeline.clear(self.photos, self.out)
+            clear(self.photos, self.out)
         began = time.monotonic()
         with Stages() as stages:
             outcome = reconstruct(

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from splatax.cli.display import PLAIN_SECONDS, duration
+from splatax.cli.interruption import resumable
 from splatax.errors import InputError
 from splatax.reconstruction import Outcome, pipeline, reconstruct
 from splatax.reconstruction.mapping import Features
@@ -59,7 +60,7 @@ class Reconstruct:
         if self.overwrite:
             clear(self.photos, self.out)
         began = time.monotonic()
-        with Stages() as stages:
+        with resumable(), Stages() as stages:
             outcome = reconstruct(
                 self.photos,
                 self.out,

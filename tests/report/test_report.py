@@ -13,7 +13,7 @@ from splatax.evaluation import Scores, ViewScore
 from splatax.report.curves import smoothed
 from splatax.report.history import Evaluation, History
 from splatax.report.page import Comparison, report
-from splatax.report.pictures import LARGEST_ERROR, animation, data_uri, depth_map, error_map
+from splatax.report.pictures import LABEL_HEIGHT, LARGEST_ERROR, animation, data_uri, depth_map, error_map
 
 GRAY = np.full((6, 8, 3), 100, np.uint8)
 
@@ -52,6 +52,8 @@ def test_large_pictures_are_shrunk_in_proportion():
     picture = np.zeros((900, 1800, 3), np.uint8)
     with Image.open(io.BytesIO(base64.b64decode(data_uri(picture).split(",")[1]))) as image:
         assert image.size == (720, 360)
+    with Image.open(io.BytesIO(animation([("step 1", picture)]))) as gif:
+        assert gif.size == (720, 360 + LABEL_HEIGHT)
 
 
 def test_smoothing_keeps_a_line_a_line():

@@ -1,7 +1,9 @@
 """From photos to poses: the corner of a room whose cameras are known, and photos that are no use."""
 
 import shutil
+import struct
 import sys
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -159,6 +161,27 @@ def test_photos_without_overlap_are_refused_with_advice(tmp_path):
     with pytest.raises(DatasetError, match=r"only 0 of 4 photos fit together.*in smaller steps"):
         reconstruct(tmp_path / "photos", tmp_path / "capture")
     assert not (tmp_path / "capture" / "sparse").exists()
+
+
+def chunk(kind, contents):
+    body = kind + contents
+    return struct.pack(">I", len(contents)) + body + struct.pack(">I", zlib.crc32(body))
+
+
+def png_of(width, height):
+    """A PNG whose header says so, and whose pixels are missing."""
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
+    return b"\x89PNG\r\n\x1a\n" + header + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize(
+    ("size", "why"), [((64, 48), "is damaged"), ((60_000, 60_000), "more pixels than can be read")]
+)
+def test_pngs_without_pixels_are_left_out_with_the_reason(tmp_path, size, why):
+    (tmp_path / "broken.png").write_bytes(png_of(*size))
+    found, damaged = pipeline.photos_in(tmp_path)
+    assert not found
+    assert why in damaged["broken.png"]
 
 
 @pytest.mark.parametrize("count", [1, 2])

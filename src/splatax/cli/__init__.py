@@ -2,6 +2,7 @@
 
 import errno
 import sys
+import warnings
 from collections.abc import Sequence
 from typing import Annotated
 
@@ -59,6 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         description=DESCRIPTION,
         config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
     )
+    warnings.formatwarning = lambda message, *_: f"splatax: warning: {message}\n"  # without lines of code
     keep_compiled_programs()
     keep_freed_memory()
     try:

@@ -15,6 +15,7 @@ import corner
 import splatax as sx
 from splatax.errors import DatasetError, InputError
 from splatax.reconstruction import diagnosis, pipeline, reconstruct, work
+from splatax.reconstruction.pairs import Exhaustive, Sequential
 
 
 @pytest.fixture(scope="module")
@@ -89,6 +90,19 @@ def test_what_was_done_before_an_interruption_is_kept(photos, tmp_path, outcome,
     again = reconstruct(photos, out)
     assert again.registered == outcome[1].registered
     assert again.points == outcome[1].points  # the same seed, the same order of photos
+
+
+def test_poses_that_were_found_are_kept_until_there_are_more_matches(photos, tmp_path, outcome, monkeypatch):
+    few = Sequential(overlap=2, doublings=0, neighbours=1)
+    for out in (tmp_path / "same", tmp_path / "more"):
+        with pytest.raises(KeyboardInterrupt):
+            reconstruct(photos, out, pairing=few, watch=stop_at("writing"))
+    more = reconstruct(photos, tmp_path / "more", pairing=Exhaustive())
+    assert more.points == outcome[1].points
+    monkeypatch.setattr(pipeline.mapping.pycolmap, "incremental_mapping", None)  # not needed again
+    same = reconstruct(photos, tmp_path / "same", pairing=few)
+    assert same.registered == more.registered
+    assert same.points != more.points
 
 
 def test_half_a_reconstruction_is_not_gone_on_with_otherwise(photos, tmp_path):

@@ -10,7 +10,7 @@ from numpy.testing import assert_array_equal
 from PIL import Image, ImageSequence
 
 from splatax.evaluation import Scores, ViewScore
-from splatax.report.curves import smoothed
+from splatax.report.curves import smoothed, training_curves
 from splatax.report.history import Evaluation, History
 from splatax.report.page import Comparison, report
 from splatax.report.pictures import LABEL_HEIGHT, LARGEST_ERROR, animation, data_uri, depth_map, error_map
@@ -77,6 +77,14 @@ def page():
 def test_the_page_needs_nothing_else(page):
     assert set(re.findall(r'src="(.{5})', page)) == {"data:"}
     assert not re.findall(r'<(?:script|link)|url\(["\']?http|href="http', page)
+
+
+@pytest.mark.parametrize(("count", "plots"), [(0, 2), (1, 2), (2, 3)])
+def test_test_psnr_has_a_plot_if_it_has_a_curve(count, plots):
+    history = History(losses=[0.5, 0.4], counts=[10, 12])
+    scores = Scores((ViewScore("a", 20.0, 0.5, 21.0),))
+    history.evaluations.extend(Evaluation(step, 1.5, scores) for step in range(1, count + 1))
+    assert len(re.findall(r'<g id="axes_\d+">', training_curves(history))) == plots
 
 
 def test_worst_views_come_first(page):

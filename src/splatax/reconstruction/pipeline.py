@@ -102,7 +102,9 @@ def reconstruct(
             mapping.register(empty, entries)
         (work / "new.db").replace(database)
     mapping.extract(database, work / "photos", features, partial(watch, "features"))
-    mapping.match(database, pairing or pairing_for(source, len(photos)), seed, partial(watch, "matches"))
+    pairing = pairing or pairing_for(source, len(photos))
+    if mapping.match(database, pairing, seed, partial(watch, "matches")):
+        shutil.rmtree(work / "models", ignore_errors=True)  # they know nothing of these pairs
     parts = mapping.place(database, work / "photos", work / "models", seed, partial(watch, "poses"))
     reasons = diagnosis.reasons(database, parts)
     rejected |= {photos[name].name: reason for name, reason in reasons.items()}

@@ -6,7 +6,7 @@ READY := $(VENV)/.ready
 
 .PHONY: demo test quick lint sanitize bench page clean
 
-demo: $(READY)  ## trains on a small capture that it makes itself, and prints where the report is
+demo: $(READY)  ## trains on a small capture that it makes itself, and prints where the page of the scene is
 	$(BIN)/splatax demo --out runs/demo --overwrite
 
 test: $(READY)  ## all tests

@@ -105,6 +105,21 @@ def test_output_that_cannot_be_written(capture, tmp_path, capsys):
     assert "file" in refused(capsys, "bench", "--scenes", 10, "--out", tmp_path / "file")
 
 
+@pytest.mark.parametrize(
+    ("place", "expected"),
+    [
+        ("file/scene.spz", "file: a file, where a folder is needed"),
+        ("file/folder/scene.spz", "lies below a file, where a folder is needed"),
+        ("folder.spz", "folder.spz: a folder, where a file is needed"),
+    ],
+)
+def test_results_that_have_no_place(trained, tmp_path, capsys, place, expected):
+    (tmp_path / "file").touch()
+    (tmp_path / "folder.spz").mkdir()
+    assert expected in refused(capsys, "export", trained, tmp_path / place, "--overwrite")
+    assert not list(tmp_path.glob(".*"))
+
+
 def test_bench_of_what_is_no_scene(tmp_path, capsys):
     assert "--scenes nothing" in refused(capsys, "bench", "--scenes", "nothing", "--out", tmp_path)
     assert "--sizes" in refused(capsys, "bench", "--sizes", "wide", "--out", tmp_path)

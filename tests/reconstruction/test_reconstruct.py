@@ -1,7 +1,10 @@
 """From photos to poses: the corner of a room whose cameras are known, and photos that are no use."""
 
 import shutil
+import struct
 import sys
+import zlib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +14,8 @@ from PIL import Image
 import corner
 import splatax as sx
 from splatax.errors import DatasetError, InputError
-from splatax.reconstruction import diagnosis, pipeline, reconstruct
+from splatax.reconstruction import diagnosis, pipeline, reconstruct, work
+from splatax.reconstruction.pairs import Exhaustive, Sequential
 
 
 @pytest.fixture(scope="module")
@@ -66,14 +70,20 @@ def test_each_stage_tells_how_far_it_is(outcome, told):
     assert [(done, total) for stage, done, total in told if stage == "writing"][-1] == (8, 8)
 
 
-def test_what_was_done_before_an_interruption_is_kept(photos, tmp_path, outcome, monkeypatch):
-    def interrupt(stage, done, total):
-        if stage == "poses":
+def stop_at(stage):
+    """Interrupts a call when it comes to a stage."""
+
+    def watch(begun, done, total):
+        if begun == stage:
             raise KeyboardInterrupt
 
+    return watch
+
+
+def test_what_was_done_before_an_interruption_is_kept(photos, tmp_path, outcome, monkeypatch):
     out = tmp_path / "capture"
     with pytest.raises(KeyboardInterrupt):
-        reconstruct(photos, out, watch=interrupt)
+        reconstruct(photos, out, watch=stop_at("poses"))
     assert not (out / "sparse").exists()
     monkeypatch.setattr(pipeline.mapping.pycolmap, "extract_features", None)  # not needed again
     monkeypatch.setattr(pipeline.mapping.pycolmap, "match_image_pairs", None)
@@ -82,10 +92,61 @@ def test_what_was_done_before_an_interruption_is_kept(photos, tmp_path, outcome,
     assert again.points == outcome[1].points  # the same seed, the same order of photos
 
 
-def test_half_a_reconstruction_of_other_photos_is_not_gone_on_with(photos, tmp_path):
-    (tmp_path / pipeline.WORK).mkdir()
+def test_poses_that_were_found_are_kept_until_there_are_more_matches(photos, tmp_path, outcome, monkeypatch):
+    few = Sequential(overlap=2, doublings=0, neighbours=1)
+    for out in (tmp_path / "same", tmp_path / "more"):
+        with pytest.raises(KeyboardInterrupt):
+            reconstruct(photos, out, pairing=few, watch=stop_at("writing"))
+    more = reconstruct(photos, tmp_path / "more", pairing=Exhaustive())
+    assert more.points == outcome[1].points
+    monkeypatch.setattr(pipeline.mapping.pycolmap, "incremental_mapping", None)  # not needed again
+    same = reconstruct(photos, tmp_path / "same", pairing=few)
+    assert same.registered == more.registered
+    assert same.points != more.points
+
+
+def test_half_a_reconstruction_is_not_gone_on_with_otherwise(photos, tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        reconstruct(photos, tmp_path, watch=stop_at("features"))
     with pytest.raises(InputError, match="half a reconstruction that was started otherwise"):
+        reconstruct(photos, tmp_path, seed=1)
+
+
+def test_photos_that_came_after_an_interruption_are_used(photos, tmp_path, outcome):
+    some = shutil.copytree(photos, tmp_path / "photos")
+    (some / "wall 0.jpg").unlink()  # so that all others get another number
+    with pytest.raises(KeyboardInterrupt):
+        reconstruct(some, tmp_path / "capture", watch=stop_at("matches"))
+    shutil.copy(photos / "wall 0.jpg", some)
+    again = reconstruct(some, tmp_path / "capture")
+    assert again.registered == outcome[1].registered
+    assert again.points == outcome[1].points
+
+
+def test_a_folder_that_was_the_wrong_one_is_not_in_the_way_of_the_right_one(photos, tmp_path):
+    (tmp_path / "one").mkdir()
+    shutil.copy(photos / "wall 0.jpg", tmp_path / "one")
+    with pytest.raises(DatasetError, match="1 photo to use"):
+        reconstruct(tmp_path / "one", tmp_path / "capture")
+    with pytest.raises(KeyboardInterrupt):
+        reconstruct(photos, tmp_path / "capture", watch=stop_at("features"))
+
+
+def test_an_interruption_between_the_two_moves_at_the_end(photos, tmp_path, outcome, monkeypatch):
+    move = Path.rename
+
+    def images_alone(path, target):
+        if path.name == "sparse":
+            raise KeyboardInterrupt
+        return move(path, target)
+
+    monkeypatch.setattr(Path, "rename", images_alone)
+    with pytest.raises(KeyboardInterrupt):
         reconstruct(photos, tmp_path)
+    monkeypatch.setattr(Path, "rename", move)
+    assert (tmp_path / "images").exists()
+    assert not (tmp_path / "sparse").exists()
+    assert reconstruct(photos, tmp_path).registered == outcome[1].registered
 
 
 @pytest.mark.slow
@@ -114,6 +175,27 @@ def test_photos_without_overlap_are_refused_with_advice(tmp_path):
     with pytest.raises(DatasetError, match=r"only 0 of 4 photos fit together.*in smaller steps"):
         reconstruct(tmp_path / "photos", tmp_path / "capture")
     assert not (tmp_path / "capture" / "sparse").exists()
+
+
+def chunk(kind, contents):
+    body = kind + contents
+    return struct.pack(">I", len(contents)) + body + struct.pack(">I", zlib.crc32(body))
+
+
+def png_of(width, height):
+    """A PNG whose header says so, and whose pixels are missing."""
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
+    return b"\x89PNG\r\n\x1a\n" + header + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize(
+    ("size", "why"), [((64, 48), "is damaged"), ((60_000, 60_000), "more pixels than can be read")]
+)
+def test_pngs_without_pixels_are_left_out_with_the_reason(tmp_path, size, why):
+    (tmp_path / "broken.png").write_bytes(png_of(*size))
+    found, damaged = pipeline.photos_in(tmp_path)
+    assert not found
+    assert why in damaged["broken.png"]
 
 
 @pytest.mark.parametrize("count", [1, 2])
@@ -163,7 +245,7 @@ def test_the_photos_themselves_are_never_in_the_way(photos, tmp_path):
     with pytest.raises(InputError, match="its images/ holds the photos themselves"):
         reconstruct(capture / "images", capture)
     with pytest.raises(InputError, match="its images/ holds the photos themselves"):
-        pipeline.clear(capture / "images", capture)
+        work.clear(capture / "images", capture)
     with pytest.raises(InputError, match="lies among the photos"):
         reconstruct(capture / "images", capture / "images" / "out")
     assert len(list((capture / "images").iterdir())) == corner.COUNT

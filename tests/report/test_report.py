@@ -10,10 +10,10 @@ from numpy.testing import assert_array_equal
 from PIL import Image, ImageSequence
 
 from splatax.evaluation import Scores, ViewScore
-from splatax.report.curves import smoothed
+from splatax.report.curves import smoothed, training_curves
 from splatax.report.history import Evaluation, History
 from splatax.report.page import Comparison, report
-from splatax.report.pictures import LARGEST_ERROR, animation, data_uri, depth_map, error_map
+from splatax.report.pictures import LABEL_HEIGHT, LARGEST_ERROR, animation, data_uri, depth_map, error_map
 
 GRAY = np.full((6, 8, 3), 100, np.uint8)
 
@@ -52,6 +52,8 @@ def test_large_pictures_are_shrunk_in_proportion():
     picture = np.zeros((900, 1800, 3), np.uint8)
     with Image.open(io.BytesIO(base64.b64decode(data_uri(picture).split(",")[1]))) as image:
         assert image.size == (720, 360)
+    with Image.open(io.BytesIO(animation([("step 1", picture)]))) as gif:
+        assert gif.size == (720, 360 + LABEL_HEIGHT)
 
 
 def test_smoothing_keeps_a_line_a_line():
@@ -75,6 +77,14 @@ def page():
 def test_the_page_needs_nothing_else(page):
     assert set(re.findall(r'src="(.{5})', page)) == {"data:"}
     assert not re.findall(r'<(?:script|link)|url\(["\']?http|href="http', page)
+
+
+@pytest.mark.parametrize(("count", "plots"), [(0, 2), (1, 2), (2, 3)])
+def test_test_psnr_has_a_plot_if_it_has_a_curve(count, plots):
+    history = History(losses=[0.5, 0.4], counts=[10, 12])
+    scores = Scores((ViewScore("a", 20.0, 0.5, 21.0),))
+    history.evaluations.extend(Evaluation(step, 1.5, scores) for step in range(1, count + 1))
+    assert len(re.findall(r'<g id="axes_\d+">', training_curves(history))) == plots
 
 
 def test_worst_views_come_first(page):

@@ -1,6 +1,8 @@
 """The command line: the library's first user."""
 
+import errno
 import sys
+import warnings
 from collections.abc import Sequence
 from typing import Annotated
 
@@ -37,6 +39,15 @@ Command = (
     | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]
 )
+REASONS = {  # why a file cannot be used, and the way out, where the system says less
+    errno.EEXIST: "a file, where a folder is needed. Choose another place.",
+    errno.ENOTDIR: "lies below a file, where a folder is needed. Choose another place.",
+    errno.EISDIR: "a folder, where a file is needed. Choose another name.",
+    errno.EACCES: "not permitted. Choose a place that you may use.",
+    errno.EPERM: "not permitted. Choose a place that you may use.",
+    errno.EROFS: "on a disk that cannot be written to. Choose another place.",
+    errno.ENOSPC: "no space is left on the disk. Free some, and run it again.",
+}
 DESCRIPTION = "3D Gaussian Splatting in JAX: from photos to a scene, on CPU, GPU and TPU."
 
 
@@ -49,6 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         description=DESCRIPTION,
         config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
     )
+    warnings.formatwarning = lambda message, *_: f"splatax: warning: {message}\n"  # without lines of code
     keep_compiled_programs()
     keep_freed_memory()
     try:
@@ -56,7 +68,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except InputError as error:
         sys.exit(_refused(error))
     except OSError as error:
-        sys.exit(_refused(f"{error.filename or 'a file'}: {error.strerror or error}."))
+        reason = REASONS.get(error.errno or 0, f"{error.strerror or error}.")
+        sys.exit(_refused(f"{error.filename or 'a file'}: {reason}"))
     except KeyboardInterrupt:
         sys.exit(130)
 

@@ -1,17 +1,25 @@
 """`splatax create`: from photos to a page, in one command."""
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
 
 from splatax import web
+from splatax.budget import parse_seconds
 from splatax.cli.checkpoints import files
+from splatax.cli.interruption import resumable
 from splatax.cli.page import Page
 from splatax.cli.reconstruct import Reconstruct
+from splatax.cli.results import write_json
+from splatax.cli.session import claim
 from splatax.cli.train import Train
 from splatax.errors import InputError
 from splatax.io.datasets import is_capture
+from splatax.reconstruction.work import refuse_overlap
+
+ORDER = "create.json"  # in OUT, once there is a capture: what the rest is made of
 
 
 @dataclass(frozen=True)
@@ -30,31 +38,62 @@ class Create:
     """Time to train for, such as 90s, 10min or 1h."""
     title: str | None = None
     """Of the page. Without it: the name of OUT."""
+    overwrite: bool = False
+    """Make all anew, and replace what an earlier call has written to the same folder."""
 
     def run(self) -> None:
         web.require_viewer()  # before an hour of work, not after it
+        self.refuse_what_cannot_be_made()
+        run, page = self.out / "run", self.out / "scene.html"
+        with resumable():
+            capture = self.photos if is_capture(self.photos) else self.reconstructed()
+            write_json(self.out / ORDER, self.order())
+            self.train(capture, run)
+            if files(run):
+                raise KeyboardInterrupt  # which training has heard, and ended well
+            Page(run, page, scene=capture, title=self.title or self.out.resolve().name, overwrite=True).run()
+        print(f"open it with a double click: {page}")
+
+    def refuse_what_cannot_be_made(self) -> None:
+        """Raises InputError before any work is done."""
         if not self.photos.exists():
             raise InputError(f"{self.photos}: no such folder or file.")
-        capture = self.photos if is_capture(self.photos) else self.reconstructed()
-        run, page = self.out / "run", self.out / "scene.html"
-        train(capture, run, self.budget)
-        if files(run):
-            print("stopped. To go on: the same command again")
+        if not is_capture(self.photos):
+            refuse_overlap(self.photos, self.out / "capture")
+        try:
+            parse_seconds(self.budget)
+        except ValueError as error:
+            raise InputError(f"--budget: {error}.") from error
+        claim(self.out, overwrite=True)
+        if self.overwrite or not (self.out / ORDER).exists():
             return
-        Page(run, page, scene=capture, title=self.title or self.out.resolve().name, overwrite=True).run()
-        print(f"open it with a double click: {page}")
+        earlier, now = json.loads((self.out / ORDER).read_text()), self.order()
+        replacing = "or replace it: --overwrite"
+        if earlier["photos"] != now["photos"]:
+            raise InputError(f"{self.out}: made from {earlier['photos']}. Choose another --out, {replacing}.")
+        if earlier["seconds"] != now["seconds"]:
+            capture = self.photos if is_capture(self.photos) else self.out / "capture"
+            raise InputError(
+                f"{self.out}: trained for {earlier['seconds']:g} s, not {now['seconds']:g} s. Train with the "
+                f"same cameras in another folder: splatax create {capture} --out OTHER, {replacing}."
+            )
+
+    def order(self) -> dict[str, object]:
+        """What the scene is made of, as JSON values."""
+        return {"photos": str(self.photos.resolve()), "seconds": parse_seconds(self.budget)}
 
     def reconstructed(self) -> Path:
         """The capture of the photos, made if it is not there yet."""
         capture = self.out / "capture"
-        if not is_capture(capture):
-            Reconstruct(self.photos, capture).run()
+        if self.overwrite or not is_capture(capture):
+            Reconstruct(self.photos, capture, overwrite=self.overwrite).run()
         return capture
 
-
-def train(capture: Path, run: Path, budget: str) -> None:
-    """Trains a scene, or goes on with it, if that is not done yet."""
-    if files(run):
-        Train(resume=run).run()
-    elif not (run / "scene.ply").exists():
-        Train(capture, out=run, budget=budget).run()
+    def train(self, capture: Path, run: Path) -> None:
+        """Trains a scene, or goes on with it. The report is the last file that training writes."""
+        if files(run) and not self.overwrite:
+            Train(resume=run).run()
+        elif (run / "report.html").exists() and not self.overwrite:
+            print(f"trained already: {run / 'scene.ply'}")
+        else:
+            Train(capture, out=run, budget=self.budget, overwrite=True).run()

@@ -3,14 +3,17 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from splatax import web
+from splatax.cli.page import Page
 from splatax.cli.session import claim
 from splatax.cli.train import Train
 from splatax.demo.capture import PHOTOS, SIZE, write_capture
+from splatax.errors import InputError
 
 
 @dataclass(frozen=True)
 class Demo:
-    """Photograph a procedural still life, train on the photos, and say where the report is.
+    """Photograph a procedural still life, train on the photos, and write a page that shows the scene.
 
     Needs no data. The capture is left in OUT/capture, in COLMAP's layout; the rest is as `splatax
     train` writes it.
@@ -38,3 +41,11 @@ class Demo:
             eval_every=max(self.steps // 8, 1),
             overwrite=True,
         ).run()
+        try:
+            web.require_viewer()
+        except InputError as error:
+            print(f"no page of the scene: {error}")
+            return
+        page = self.out / "scene.html"
+        Page(self.out, page, scene=capture, title="splatax demo", overwrite=True).run()
+        print(f"open it with a double click: {page}")

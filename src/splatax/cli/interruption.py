@@ -1,10 +1,24 @@
 """Being asked to stop, made safe: work ends between two steps, where nothing is half done."""
 
 import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)  # Ctrl-C, and what a system sends before it shuts down
+STOPPED = 130  # exit code, as shells have it for Ctrl-C
+
+
+@contextmanager
+def resumable() -> Iterator[None]:
+    """Around work that the same command goes on with: says so when it is stopped."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        print("stopped. To go on: the same command again", file=sys.stderr)
+        sys.exit(STOPPED)
 
 
 class Interruption:

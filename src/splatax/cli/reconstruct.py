@@ -11,10 +11,12 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from splatax.cli.display import PLAIN_SECONDS, duration
+from splatax.cli.interruption import resumable
 from splatax.errors import InputError
 from splatax.reconstruction import Outcome, pipeline, reconstruct
 from splatax.reconstruction.mapping import Features
 from splatax.reconstruction.pairs import Exhaustive, Pairing, Sequential, Similar
+from splatax.reconstruction.work import clear
 
 PAIRINGS: dict[str, Pairing | None] = {
     "auto": None,
@@ -56,9 +58,9 @@ class Reconstruct:
         if self.frames < pipeline.FEWEST:
             raise InputError(f"--frames: at least {pipeline.FEWEST}, not {self.frames}.")
         if self.overwrite:
-            pipeline.clear(self.photos, self.out)
+            clear(self.photos, self.out)
         began = time.monotonic()
-        with Stages() as stages:
+        with resumable(), Stages() as stages:
             outcome = reconstruct(
                 self.photos,
                 self.out,

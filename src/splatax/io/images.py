@@ -80,5 +80,7 @@ def _open(path: Path) -> Image.Image:
         return Image.open(path)
     except FileNotFoundError:
         raise DatasetError(f"{path}: no such photo.") from None
+    except Image.DecompressionBombError as error:
+        raise DatasetError(f"{path}: more pixels than can be read. Shrink the photo.") from error
     except (UnidentifiedImageError, OSError) as error:
         raise DatasetError(f"{path}: not a photo that can be read ({error}).") from error

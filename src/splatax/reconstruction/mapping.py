@@ -4,7 +4,8 @@ The database keeps what has been done, so each step goes on where an earlier one
 are called for a few photos or pairs at a time, to tell how far they are.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+import shutil
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -103,8 +104,9 @@ def extract(path: Path, photos: Path, features: Features, watch: Callable[[int, 
     watch(len(every), len(every))
 
 
-def match(path: Path, pairing: Pairing, seed: int, watch: Callable[[int, int], None]) -> None:
-    """Matches that agree with one motion, for the pairs that have not been looked at yet."""
+def match(path: Path, pairing: Pairing, seed: int, watch: Callable[[int, int], None]) -> int:
+    """Matches that agree with one motion, for the pairs that have not been looked at yet: how many those
+    were."""
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = seed
     with opened(path) as database:
@@ -123,18 +125,23 @@ def match(path: Path, pairing: Pairing, seed: int, watch: Callable[[int, int], N
             path, pairing_options=importing, verification_options=verification, device=pycolmap.Device.cpu
         )
     watch(len(pairs), len(pairs))
+    return len(left)
 
 
 def place(
     path: Path, photos: Path, out: Path, seed: int, watch: Callable[[int, int], None]
 ) -> list[pycolmap.Reconstruction]:
-    """Poses and points by incremental structure from motion (Schönberger and Frahm 2016).
+    """Poses and points by incremental structure from motion (Schönberger and Frahm 2016), or those that
+    were found before: they are in the folder once all are.
 
     Returns:
         Parts that nothing connects, the one of most photos first; empty if no two photos fit together.
     """
     with opened(path) as database:
         count = database.num_images()
+    if out.exists():
+        watch(count, count)
+        return _largest_first(pycolmap.Reconstruction(part) for part in sorted(out.iterdir()))
     placed = 0
 
     def one_more(step: int = 1) -> None:
@@ -146,13 +153,20 @@ def place(
     options.random_seed = seed
     options.min_model_size = FEWEST_IN_MODEL
     pycolmap.set_random_seed(seed)
-    out.mkdir(parents=True, exist_ok=True)
+    unfinished = out.with_name(f"{out.name}.part")
+    shutil.rmtree(unfinished, ignore_errors=True)
+    unfinished.mkdir(parents=True)
     parts = pycolmap.incremental_mapping(
         path,
         photos,
-        out,
+        unfinished,
         options=options,
         initial_image_pair_callback=lambda: one_more(2),
         next_image_callback=one_more,
     )
-    return sorted(parts.values(), key=lambda part: -part.num_reg_images())
+    unfinished.rename(out)
+    return _largest_first(parts.values())
+
+
+def _largest_first(parts: Iterable[pycolmap.Reconstruction]) -> list[pycolmap.Reconstruction]:
+    return sorted(parts, key=lambda part: -part.num_reg_images())

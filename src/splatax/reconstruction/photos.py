@@ -88,12 +88,15 @@ def photo_of(name: str, path: Path) -> Photo:
     """Measures a photo by its header.
 
     Raises:
-        DatasetError: if it is none.
+        DatasetError: if it is none, or damaged.
     """
-    size = images.size_of(path, upright=True)
-    with Image.open(path) as image:
-        exif = image.getexif()
-        detail = exif.get_ifd(EXIF)
+    try:
+        size = images.size_of(path, upright=True)
+        with Image.open(path) as image:
+            exif = image.getexif()  # of a PNG it may be behind the pixels
+            detail = exif.get_ifd(EXIF)
+    except (OSError, SyntaxError) as error:
+        raise DatasetError(f"{path}: the photo is damaged ({error}). Restore it from the camera.") from error
     focal = focal_of({key: number(value) for key, value in detail.items()}, size)
     parts = (exif.get(MAKE), exif.get(MODEL), detail.get(LENS), focal, size)
     return Photo(name, path, size, focal, " ".join(str(part) for part in parts))

@@ -1,6 +1,5 @@
 """From photos to a capture, in stages that can be stopped and gone on with."""
 
-import json
 import shutil
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -11,17 +10,22 @@ import pycolmap
 
 from splatax.errors import DatasetError, InputError
 from splatax.io.datasets.photos import counted
-from splatax.io.files import write_whole
 from splatax.reconstruction import diagnosis, mapping
 from splatax.reconstruction.mapping import Entry, Features
 from splatax.reconstruction.pairs import Exhaustive, Pairing, Sequential, Similar
 from splatax.reconstruction.photos import Photo, photos_in, read, save
 from splatax.reconstruction.video import is_video, pick_frames
+from splatax.reconstruction.work import (
+    RESULTS,
+    WORK,
+    fingerprint,
+    prepare,
+    refuse_overlap,
+    take_back_results,
+)
 from splatax.reconstruction.writing import write_capture
 from splatax.resampling import resize
 
-RESULTS = ("sparse", "images")
-WORK = ".reconstruction"  # in the capture's folder, until it is finished
 FEW = 80  # photos, of which every pair is matched
 FEWEST, LEAST_SHARE = 3, 0.5  # of photos that must be placed
 STAGES = ("reading", "features", "matches", "poses", "writing")
@@ -57,7 +61,8 @@ def reconstruct(
 ) -> Outcome:
     """Finds poses and points, and writes undistorted photos and a COLMAP model to a folder.
 
-    What an interrupted call has done is kept in the folder, and the next call goes on from there.
+    What an interrupted call has done is kept in the folder, and the next call goes on from there, if the
+    photos are still the same; else it begins anew.
 
     Args:
         source: a folder of photos, or a video.
@@ -75,10 +80,11 @@ def reconstruct(
     pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL.value
     work = out / WORK
     refuse_overlap(source, out)
+    take_back_results(out)
     if any((out / name).exists() for name in RESULTS):
         raise InputError(f"{out}: holds a capture. Choose another folder, or replace it: --overwrite.")
     settings = {"source": str(source.resolve()), "frames": frames, "features": asdict(features), "seed": seed}
-    prepare(work, settings)
+    prepare(work, settings | {"photos": fingerprint(source)})
     found, rejected = gather(source, work, frames, partial(watch, "reading"))
     photos, damaged = shrink(found, work / "photos", features.longest_side, partial(watch, "reading"))
     rejected |= damaged
@@ -96,7 +102,9 @@ def reconstruct(
             mapping.register(empty, entries)
         (work / "new.db").replace(database)
     mapping.extract(database, work / "photos", features, partial(watch, "features"))
-    mapping.match(database, pairing or pairing_for(source, len(photos)), seed, partial(watch, "matches"))
+    pairing = pairing or pairing_for(source, len(photos))
+    if mapping.match(database, pairing, seed, partial(watch, "matches")):
+        shutil.rmtree(work / "models", ignore_errors=True)  # they know nothing of these pairs
     parts = mapping.place(database, work / "photos", work / "models", seed, partial(watch, "poses"))
     reasons = diagnosis.reasons(database, parts)
     rejected |= {photos[name].name: reason for name, reason in reasons.items()}
@@ -120,62 +128,12 @@ def reconstruct(
     return outcome
 
 
-def clear(source: Path, out: Path) -> None:
-    """Removes what an earlier call has written.
-
-    Raises:
-        InputError: if that could be the photos themselves.
-    """
-    refuse_overlap(source, out)
-    for name in (*RESULTS, WORK):
-        shutil.rmtree(out / name, ignore_errors=True)
-
-
-def refuse_overlap(source: Path, out: Path) -> None:
-    """Refuses results that could harm the photos, or be taken for some.
-
-    Raises:
-        InputError: if they could, or there are no photos.
-    """
-    if not source.exists():
-        raise InputError(f"{source}: no such folder or video.")
-    inside, whole = out.resolve(), source.resolve()
-    if whole.is_dir() and inside.is_relative_to(whole):
-        raise InputError(f"{out}: lies among the photos. Choose a folder outside {source}.")
-    if whole.is_relative_to(inside / "images"):
-        raise InputError(f"{out}: its images/ holds the photos themselves. Choose another folder.")
-
-
-def prepare(work: Path, settings: dict) -> None:
-    """Makes the folder of work in progress, or finds that of an earlier call.
-
-    Raises:
-        InputError: if that was called for something else.
-    """
-    path = work / "settings.json"
-    written = json.dumps(settings, indent=1)
-    if work.exists() and (not path.exists() or path.read_text() != written):
-        raise InputError(
-            f"{work.parent}: holds half a reconstruction that was started otherwise. Choose another "
-            "folder, or replace it: --overwrite."
-        )
-    work.mkdir(parents=True, exist_ok=True)
-    write_whole(path, written.encode())
-
-
 def gather(
     source: Path, work: Path, frames: int, watch: Callable[[int, int], None]
 ) -> tuple[list[Photo], dict[str, str]]:
     """(photos, why others cannot be used) of a folder or a video."""
     if source.is_dir():
-        photos, damaged = photos_in(source)
-        if not photos and not damaged:
-            raise DatasetError(
-                f"{source}: no photos in this folder. Give the folder they are in, or a video."
-            )
-        return photos, damaged
-    if not is_video(source):
-        raise InputError(f"{source}: neither a folder of photos nor a video.")
+        return photos_in(source)
     if not (work / "frames").exists():
         shutil.rmtree(work / "frames.part", ignore_errors=True)
         pick_frames(source, work / "frames.part", frames, watch)

@@ -12,23 +12,23 @@ SMOOTHING = 50  # steps that the loss is averaged over
 
 
 def training_curves(history: History) -> str:
-    """Three plots side by side, as SVG."""
+    """Plots side by side, as SVG. That of test PSNR needs more than the evaluation at the end."""
     from matplotlib.figure import Figure  # slow to import
 
     figure = Figure(figsize=(11, 2.8), layout="constrained")
-    loss_axes, psnr_axes, count_axes = figure.subplots(1, 3)
+    loss_axes, *psnr_axes, count_axes = figure.subplots(1, 3 if len(history.evaluations) > 1 else 2)
     steps = np.arange(1, history.steps + 1)
     losses = np.array([float(loss) for loss in history.losses])
     loss_axes.semilogy(steps, losses, color="0.85", linewidth=0.6)
     loss_axes.semilogy(*smoothed(steps, losses), color="C0")
     loss_axes.set_title("training loss")
-    if history.evaluations:
+    for axes in psnr_axes:
         evaluated = [(e.step, e.scores.psnr) for e in history.evaluations]
-        psnr_axes.plot(*zip(*evaluated, strict=True), "o-", color="C2", markersize=4)
-    psnr_axes.set_title("test PSNR, dB")
+        axes.plot(*zip(*evaluated, strict=True), "o-", color="C2", markersize=4)
+        axes.set_title("test PSNR, dB")
     count_axes.plot(steps, history.counts, color="C1")
     count_axes.set_title("Gaussians")
-    for axes in (loss_axes, psnr_axes, count_axes):
+    for axes in figure.axes:
         axes.set_xlabel("step")
         axes.set_xlim(0, history.steps)
         axes.grid(alpha=0.3)

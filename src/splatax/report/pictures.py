@@ -63,7 +63,7 @@ def colored(values: Float[np.ndarray, "h w"], colormap: str) -> Picture:
 
 
 def animation(frames: Sequence[tuple[str, Picture]]) -> bytes:
-    """Labelled pictures as a GIF that rests on the last."""
+    """Labelled pictures as a GIF that rests on the last, no wider than those of a report."""
     images = [_labelled(label, picture) for label, picture in frames]
     durations = [FRAME_SECONDS * 1000] * (len(images) - 1) + [LAST_SECONDS * 1000]
     palettes = [image.quantize(128, dither=Image.Dither.FLOYDSTEINBERG) for image in images]
@@ -74,11 +74,7 @@ def animation(frames: Sequence[tuple[str, Picture]]) -> bytes:
 
 def data_uri(picture: Picture) -> str:
     """A picture as a JPEG inside a page."""
-    image = Image.fromarray(picture)
-    if image.width > REPORT_WIDTH:
-        image = image.resize(
-            (REPORT_WIDTH, round(image.height * REPORT_WIDTH / image.width)), Image.Resampling.BOX
-        )
+    image = _shrunk(picture)
     buffer = io.BytesIO()
     image.save(buffer, "JPEG", quality=88)
     return encoded(buffer.getvalue(), "image/jpeg")
@@ -89,8 +85,17 @@ def encoded(contents: bytes, kind: str) -> str:
     return f"data:{kind};base64,{base64.b64encode(contents).decode()}"
 
 
+def _shrunk(picture: Picture) -> Image.Image:
+    image = Image.fromarray(picture)
+    if image.width <= REPORT_WIDTH:
+        return image
+    height = max(round(image.height * REPORT_WIDTH / image.width), 1)
+    return image.resize((REPORT_WIDTH, height), Image.Resampling.BOX)
+
+
 def _labelled(label: str, picture: Picture) -> Image.Image:
-    canvas = Image.new("RGB", (picture.shape[1], picture.shape[0] + LABEL_HEIGHT), "black")
-    canvas.paste(Image.fromarray(picture), (0, 0))
-    ImageDraw.Draw(canvas).text((6, picture.shape[0] + 2), label, fill="white")
+    image = _shrunk(picture)
+    canvas = Image.new("RGB", (image.width, image.height + LABEL_HEIGHT), "black")
+    canvas.paste(image, (0, 0))
+    ImageDraw.Draw(canvas).text((6, image.height + 2), label, fill="white")
     return canvas

@@ -1,0 +1,90 @@
+"""The folder of a reconstruction while it is made: what was done is kept, unless the photos change."""
+
+import hashlib
+import json
+import shutil
+from pathlib import Path
+
+from splatax.errors import DatasetError, InputError
+from splatax.io.files import write_whole
+from splatax.reconstruction.photos import is_photo
+from splatax.reconstruction.video import is_video
+
+RESULTS = ("sparse", "images")
+WORK = ".reconstruction"  # in the capture's folder, until it is finished
+BEGUN = ("frames", "database.db")  # in the folder of work, when there is some to lose
+
+
+def clear(source: Path, out: Path) -> None:
+    """Removes what an earlier call has written.
+
+    Raises:
+        InputError: if that could be the photos themselves.
+    """
+    refuse_overlap(source, out)
+    for name in (*RESULTS, WORK):
+        shutil.rmtree(out / name, ignore_errors=True)
+
+
+def refuse_overlap(source: Path, out: Path) -> None:
+    """Refuses results that could harm the photos, or be taken for some.
+
+    Raises:
+        InputError: if they could, or there are no photos.
+    """
+    if not source.exists():
+        raise InputError(f"{source}: no such folder or video.")
+    inside, whole = out.resolve(), source.resolve()
+    if whole.is_dir() and inside.is_relative_to(whole):
+        raise InputError(f"{out}: lies among the photos. Choose a folder outside {source}.")
+    if whole.is_relative_to(inside / "images"):
+        raise InputError(f"{out}: its images/ holds the photos themselves. Choose another folder.")
+
+
+def take_back_results(out: Path) -> None:
+    """Undoes the first of the two moves that end a call, if that was stopped between them."""
+    made = out / WORK / "capture"
+    if (made / "sparse").exists() and not (made / "images").exists() and (out / "images").exists():
+        (out / "images").rename(made / "images")
+
+
+def fingerprint(source: Path) -> str:
+    """Tells photos, or a video, from others, and from themselves after a change.
+
+    Raises:
+        DatasetError: if there are no photos in the folder.
+        InputError: if it is neither a folder nor a video.
+    """
+    paths = [source]
+    if source.is_dir():
+        paths = sorted(path for path in source.rglob("*") if path.is_file() and is_photo(path))
+        if not paths:
+            raise DatasetError(
+                f"{source}: no photos in this folder. Give the folder they are in, or a video."
+            )
+    elif not is_video(source):
+        raise InputError(f"{source}: neither a folder of photos nor a video.")
+    stats = [(path.relative_to(source).as_posix(), path.stat()) for path in paths]
+    listing = [(name, stat.st_size, stat.st_mtime_ns) for name, stat in stats]
+    return hashlib.sha256(json.dumps(listing).encode()).hexdigest()
+
+
+def prepare(work: Path, settings: dict) -> None:
+    """Makes the folder of work in progress, or finds that of an earlier call. What was done for photos
+    that have changed since is of no use, and removed.
+
+    Raises:
+        InputError: if work has begun there for something else.
+    """
+    path = work / "settings.json"
+    earlier = json.loads(path.read_text()) if path.exists() else {}
+    if earlier != settings:
+        changed = {name for name in settings if earlier.get(name) != settings[name]}
+        if changed - {"photos"} and any((work / name).exists() for name in BEGUN):
+            raise InputError(
+                f"{work.parent}: holds half a reconstruction that was started otherwise. Choose another "
+                "folder, or replace it: --overwrite."
+            )
+        shutil.rmtree(work, ignore_errors=True)
+    work.mkdir(parents=True, exist_ok=True)
+    write_whole(path, json.dumps(settings, indent=1).encode())

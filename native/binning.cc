@@ -213,8 +213,8 @@ void Binning::list(int number, Workers& workers) {
     const int32_t own = i < count ? first[i] : 0;
     first[i] = total, total += own;
   }
-  int32_t* begins = starts.at_least(tiles() + 1);
-  Pair* all = pairs.at_least(total);
+  int32_t* begins = starts_.at_least(tiles() + 1);
+  Pair* all = pairs_.at_least(total);
   total = 0;
   for (int tile = 0; tile < tiles(); ++tile) {
     begins[tile] = total;

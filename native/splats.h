@@ -13,6 +13,10 @@ constexpr int BLOCKS_A_SIDE = TILE / BLOCK;
 constexpr int BLOCKS = BLOCKS_A_SIDE * BLOCKS_A_SIDE;
 constexpr int GROUP = 4;            // channels that are blended together
 
+// The corner of a block in its tile, pixels.
+constexpr int block_left(int b) { return b % BLOCKS_A_SIDE * BLOCK; }
+constexpr int block_top(int b) { return b / BLOCKS_A_SIDE * BLOCK; }
+
 // As in splatax/splats.py.
 constexpr float MIN_ALPHA = 1.0f / 255;
 constexpr float MAX_ALPHA = 0.99f;

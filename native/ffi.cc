@@ -189,22 +189,24 @@ ffi::Error work(ffi::ThreadPool threads, Result sums, int64_t, int64_t rounds) {
   return ffi::Error::Success();
 }
 
-// A binding with so many more arrays, all of them float32, as arguments or results.
-template <int N, class Binding>
-auto arrays(Binding binding) {
+// A binding to which `add` has added something N times.
+template <int N, class Binding, class Add>
+auto repeated(Binding&& binding, const Add& add) {
   if constexpr (N == 1) {
-    return std::move(binding).template Arg<Floats>();
+    return add(std::move(binding));
   } else {
-    return arrays<N - 1>(std::move(binding).template Arg<Floats>());
+    return repeated<N - 1>(add(std::move(binding)), add);
   }
 }
+
+// A binding with N more arrays, all of them float32, as arguments or results.
 template <int N, class Binding>
-auto results(Binding binding) {
-  if constexpr (N == 1) {
-    return std::move(binding).template Ret<Floats>();
-  } else {
-    return results<N - 1>(std::move(binding).template Ret<Floats>());
-  }
+auto arrays(Binding&& binding) {
+  return repeated<N>(std::move(binding), [](auto&& b) { return std::move(b).template Arg<Floats>(); });
+}
+template <int N, class Binding>
+auto results(Binding&& binding) {
+  return repeated<N>(std::move(binding), [](auto&& b) { return std::move(b).template Ret<Floats>(); });
 }
 
 // Calls begin with this.

@@ -4,20 +4,20 @@
 //   2. order     them by depth (radix sort, stable: ties stay in the order of the input)
 //   3. list      in that order, append each to the tiles that its ellipse touches
 //
-// No list is sorted, because splats arrive in order. Splats are listed in rounds of at most
-// `MAX_PAIRS` (splat, tile) pairs; blending carries its state from one round to the next, so memory
-// is bounded and nothing is ever dropped.
+// No list is sorted, because splats arrive in order. Splats are listed in rounds of at most so many
+// (splat, tile) pairs; blending carries its state from one round to the next, so memory is bounded
+// and nothing is ever dropped.
 #pragma once
 
 #include <cstdint>
 #include <vector>
 
+#include "buffer.h"
+#include "histogram.h"
 #include "parallel.h"
 #include "splats.h"
 
 namespace splatax {
-
-constexpr int64_t MAX_PAIRS = 1 << 22;  // of a round; backward, 48 bytes each
 
 // An entry of a tile's list.
 struct Pair {
@@ -65,7 +65,8 @@ class Binning {
   int pair_count() const { return starts_[tiles()]; }
   Tile tile(int number) const {
     const int begin = starts_[number], end = starts_[number + 1];
-    return {number, number % columns * TILE, number / columns * TILE, splats.get(), pairs_.get() + begin, end - begin};
+    const int left = number % columns * TILE, top = number / columns * TILE;
+    return {number, left, top, splats.get(), pairs_.get() + begin, end - begin};
   }
 
  private:
@@ -81,7 +82,7 @@ class Binning {
   Buffer<Splat> collected_;
   Buffer<uint32_t> keys_, sorted_keys_;
   Buffer<int32_t> places_, sorted_places_;
-  std::vector<int32_t> histogram_;
+  Histogram histogram_;
   std::vector<std::vector<Span>> spans_;  // of each range of splats
 };
 

@@ -1,6 +1,5 @@
-// The library's face: XLA custom calls, registered from Python by splatax/rasterizers/cpu.py.
+// The library's face: XLA custom calls, registered from Python by splatax/native.
 #include <mutex>
-#include <string>
 #include <vector>
 
 #include "limits.h"
@@ -105,8 +104,10 @@ ffi::Error backward(ffi::ThreadPool threads, Floats means2d, Floats sqrt_conics,
       input_of(means2d, sqrt_conics, depths, extents, opacities, channels, size[1], size[0]);
   auto scratch = pool.take(*ticket.typed_data());
   const bool binned = scratch != nullptr;
-  if (!binned) scratch = pool.take();
-  if (!binned) scratch->ticket = 0;
+  if (!binned) {
+    scratch = pool.take();
+    scratch->ticket = 0;
+  }
   scratch->expected = false;
   rasterize_gradient(
       input, {sums.typed_data(), alpha.typed_data(), d_sums.typed_data(), d_alpha.typed_data()},

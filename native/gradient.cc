@@ -83,7 +83,7 @@ void add_group(const Input& input, const Cotangents& cotangents, const Gradients
     const size_t pairs = binning.pair_count();
     auto* shares = reinterpret_cast<float(*)[SHARES]>(scratch.shares.at_least(pairs * SHARES));
     uint8_t* flags = scratch.flags.at_least(pairs);
-    std::memset(flags, 0, pairs);
+    std::fill_n(flags, pairs, uint8_t{0});
     states.each_tile(workers, [&](const Tile& tile, TileGradient<C, PULLED>& state) {
       if (round.begin == 0) start(input, cotangents, first, size, tile, state);
       state.accumulate(tile, shares, flags);

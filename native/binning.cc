@@ -159,24 +159,17 @@ void Binning::load_channels(const Input& input, int first, int size, Workers& wo
 }
 
 void Binning::order(Workers& workers) {
-  const int ranges = workers.count();
   sorted_keys_.at_least(visible), sorted_places_.at_least(visible);
   for (int shift = 0; shift < 32; shift += DIGIT_BITS) {
-    histogram_.assign(static_cast<size_t>(ranges) * DIGITS, 0);
+    histogram_.clear(workers.count(), DIGITS);
     const auto digit = [&](int i) { return (keys_[i] >> shift) & (DIGITS - 1); };
     workers.ranges(visible, [&](int range, int begin, int end) {
-      int32_t* counts = &histogram_[static_cast<size_t>(range) * DIGITS];
+      int32_t* counts = histogram_.of(range);
       for (int i = begin; i < end; ++i) ++counts[digit(i)];
     });
-    int32_t total = 0;
-    for (int d = 0; d < DIGITS; ++d) {
-      for (int range = 0; range < ranges; ++range) {
-        int32_t& count = histogram_[static_cast<size_t>(range) * DIGITS + d];
-        total += count, count = total - count;
-      }
-    }
+    histogram_.place();
     workers.ranges(visible, [&](int range, int begin, int end) {
-      int32_t* next = &histogram_[static_cast<size_t>(range) * DIGITS];
+      int32_t* next = histogram_.of(range);
       for (int i = begin; i < end; ++i) {
         const int32_t to = next[digit(i)]++;
         sorted_keys_[to] = keys_[i], sorted_places_[to] = places_[i];
@@ -192,10 +185,10 @@ void Binning::list(int number, Workers& workers) {
   const Round& round = rounds[number];
   const int count = round.end - round.begin, ranges = workers.count();
   int32_t* first = first_pair.at_least(count + 1);
-  histogram_.assign(static_cast<size_t>(ranges) * tiles(), 0);
+  histogram_.clear(ranges, tiles());
   spans_.resize(std::max(spans_.size(), static_cast<size_t>(ranges)));
   workers.ranges(count, [&](int range, int begin, int end) {
-    int32_t* counts = &histogram_[static_cast<size_t>(range) * tiles()];
+    int32_t* counts = histogram_.of(range);
     std::vector<Span>& spans = spans_[range];
     spans.clear();
     for (int i = begin; i < end; ++i) {
@@ -213,19 +206,13 @@ void Binning::list(int number, Workers& workers) {
     const int32_t own = i < count ? first[i] : 0;
     first[i] = total, total += own;
   }
-  int32_t* begins = starts.at_least(tiles() + 1);
-  Pair* all = pairs.at_least(total);
-  total = 0;
-  for (int tile = 0; tile < tiles(); ++tile) {
-    begins[tile] = total;
-    for (int range = 0; range < ranges; ++range) {
-      int32_t& next = histogram_[static_cast<size_t>(range) * tiles() + tile];
-      total += next, next = total - next;
-    }
-  }
+  histogram_.place();
+  int32_t* begins = starts_.at_least(tiles() + 1);
+  std::copy_n(histogram_.of(0), tiles(), begins);
   begins[tiles()] = total;
+  Pair* all = pairs_.at_least(total);
   workers.ranges(count, [&](int range, int begin, int end) {
-    int32_t* next = &histogram_[static_cast<size_t>(range) * tiles()];
+    int32_t* next = histogram_.of(range);
     const Span* span = spans_[range].data();
     for (int i = begin; i < end; ++i) {
       for (int32_t index = first[i]; index < first[i + 1]; ++span) {

@@ -4,20 +4,20 @@
 //   2. order     them by depth (radix sort, stable: ties stay in the order of the input)
 //   3. list      in that order, append each to the tiles that its ellipse touches
 //
-// No list is sorted, because splats arrive in order. Splats are listed in rounds of at most
-// `MAX_PAIRS` (splat, tile) pairs; blending carries its state from one round to the next, so memory
-// is bounded and nothing is ever dropped.
+// No list is sorted, because splats arrive in order. Splats are listed in rounds of at most so many
+// (splat, tile) pairs; blending carries its state from one round to the next, so memory is bounded
+// and nothing is ever dropped.
 #pragma once
 
 #include <cstdint>
 #include <vector>
 
+#include "buffer.h"
+#include "histogram.h"
 #include "parallel.h"
 #include "splats.h"
 
 namespace splatax {
-
-constexpr int64_t MAX_PAIRS = 1 << 22;  // of a round; backward, 48 bytes each
 
 // An entry of a tile's list.
 struct Pair {
@@ -35,6 +35,14 @@ struct Round {
   int begin, end;
 };
 
+// A tile, and its list in a round.
+struct Tile {
+  int number, left, top;  // row by row; corner, pixels
+  const Splat* splats;    // of all tiles
+  const Pair* pairs;
+  int count;              // of pairs
+};
+
 class Binning {
  public:
   // Steps 1 and 2. Afterwards `splats` holds `visible` of them by depth, in at least one round.
@@ -43,19 +51,23 @@ class Binning {
   // Puts channels [first, first + size) of the input into the splats, unless they are there.
   void load_channels(const Input& input, int first, int size, Workers& workers);
 
-  // Step 3 for one of `rounds`, unless it is the one that was listed last. Afterwards tile t has `pairs[starts[t]] ... pairs[starts[t + 1] - 1]`,
-  // and the pairs of splat i have the indices from `first_pair[i - begin]` to the next one's.
+  // Step 3 for one of `rounds`, unless it is the one that was listed last. Afterwards there are
+  // `tile`s and their `pair_count()` pairs; those of splat i have the indices from
+  // `first_pair[i - begin]` to the next one's.
   void list(int round, Workers& workers);
 
   int columns = 0, rows = 0, visible = 0;
   std::vector<Round> rounds;
   Buffer<Splat> splats;
-  Buffer<Pair> pairs;
-  Buffer<int32_t> starts, first_pair;
+  Buffer<int32_t> first_pair;
 
   int tiles() const { return columns * rows; }
-  int left(int tile) const { return tile % columns * TILE; }  // pixels
-  int top(int tile) const { return tile / columns * TILE; }
+  int pair_count() const { return starts_[tiles()]; }
+  Tile tile(int number) const {
+    const int begin = starts_[number], end = starts_[number + 1];
+    const int left = number % columns * TILE, top = number / columns * TILE;
+    return {number, left, top, splats.get(), pairs_.get() + begin, end - begin};
+  }
 
  private:
   static constexpr int NONE = -1;
@@ -64,10 +76,13 @@ class Binning {
 
   int listed_ = NONE, loaded_ = NONE;  // round, first channel
 
+  Buffer<Pair> pairs_;
+  Buffer<int32_t> starts_;  // of the tiles' lists in `pairs_`, and their end
+
   Buffer<Splat> collected_;
   Buffer<uint32_t> keys_, sorted_keys_;
   Buffer<int32_t> places_, sorted_places_;
-  std::vector<int32_t> histogram_;
+  Histogram histogram_;
   std::vector<std::vector<Span>> spans_;  // of each range of splats
 };
 

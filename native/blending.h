@@ -3,7 +3,7 @@
 //   C = sum_i T_i alpha_i c_i,   T_i = prod_{j<i} (1 - alpha_j)         (Kerbl et al. 2023, Eq. 3)
 #pragma once
 
-#include "chunk.h"
+#include "tiles.h"
 
 namespace splatax {
 
@@ -14,23 +14,18 @@ struct TileImage {
   alignas(64) float transmittance[BLOCKS][LANES];
   alignas(64) float sums[C][BLOCKS][LANES];
 
-  void clear(int width, int height, int left, int top) {
-    for (int b = 0; b < BLOCKS; ++b) {
-      for (int lane = 0; lane < LANES; ++lane) {
-        const int x = left + b % BLOCKS_A_SIDE * BLOCK + lane % BLOCK;
-        const int y = top + b / BLOCKS_A_SIDE * BLOCK + lane / BLOCK;
-        transmittance[b][lane] = x < width && y < height ? 1 : -1;
-        for (int c = 0; c < C; ++c) sums[c][b][lane] = 0;
-      }
-    }
+  void clear(const Input& input, const Tile& tile) {
+    for (auto& channel : sums) std::memset(channel, 0, sizeof channel);
+    let_light_through(input, tile, transmittance);
   }
 
-  // Blends a list into the tile whose corner is at (left, top).
-  void blend(const Splat* splats, const Pair* pairs, int count, float left, float top) {
+  // Blends the tile's list, and calls count(step) for each splat at a block of pixels.
+  template <class Count>
+  void blend(const Tile& tile, const Count& count) {
     uint32_t live = live_blocks(transmittance);
-    each_chunk<C>(splats, pairs, count, left, top, live, [&](const Chunk& chunk, const uint64_t* touching, int) {
+    each_chunk<C>(tile, live, [&](const Chunk& chunk, const uint64_t* touching, int) {
       for (int b = 0; b < BLOCKS; ++b) {
-        if ((live >> b & 1) && touching[b] && !blend_block(chunk, touching[b], b, left, top)) {
+        if ((live >> b & 1) && touching[b] && !blend_block(chunk, touching[b], b, tile, count)) {
           live &= ~(1u << b);
         }
       }
@@ -39,10 +34,10 @@ struct TileImage {
 
  private:
   // Blends the splats whose bits are set; false once all its pixels are done.
-  bool blend_block(const Chunk& chunk, uint64_t touching, int b, float left, float top) {
+  template <class Count>
+  bool blend_block(const Chunk& chunk, uint64_t touching, int b, const Tile& tile, const Count& count) {
     const PixelCentres centres;
-    const Lanes x = centres.x + all(left + b % BLOCKS_A_SIDE * BLOCK);
-    const Lanes y = centres.y + all(top + b / BLOCKS_A_SIDE * BLOCK);
+    const Lanes x = centres.x + all(tile.left + block_left(b)), y = centres.y + all(tile.top + block_top(b));
     const Lanes before = load(transmittance[b]);
     Mask alive = all(0) <= before;
     Lanes T = max(before, all(0) - before);
@@ -51,6 +46,7 @@ struct TileImage {
     for (; touching; touching &= touching - 1) {
       const int i = __builtin_ctzll(touching);
       const Blend step(chunk, i, x, y, T, alive);
+      count(step);
       for (int c = 0; c < C; ++c) sum[c] = multiply_add(step.weight, all(chunk.channels[c][i]), sum[c]);
       T = step.after, alive = step.alive;
       if (!any(alive)) break;

@@ -72,13 +72,12 @@ inline uint32_t live_blocks(const float (*transmittance)[LANES]) {
 // Calls body(chunk, touching, first) for one chunk of a tile's list after the other, as long as a block
 // is live; `first` is the place of the chunk's first splat in the list.
 template <int C, class Body>
-SPLATAX_INLINE void each_chunk(const Splat* splats, const Pair* pairs, int count, float left, float top,
-                               const uint32_t& live, const Body& body) {
+SPLATAX_INLINE void each_chunk(const Tile& tile, const uint32_t& live, const Body& body) {
   Chunk chunk;
   uint64_t touching[BLOCKS];
-  for (int first = 0; first < count && live; first += CHUNK) {
-    chunk.gather<C>(splats, pairs + first, std::min(CHUNK, count - first));
-    chunk.find_blocks(left, top, touching);
+  for (int first = 0; first < tile.count && live; first += CHUNK) {
+    chunk.gather<C>(tile.splats, tile.pairs + first, std::min(CHUNK, tile.count - first));
+    chunk.find_blocks(tile.left, tile.top, touching);
     body(chunk, touching, first);
   }
 }

@@ -1,6 +1,5 @@
-// The library's face: XLA custom calls, registered from Python by splatax/rasterizers/cpu.py.
+// The library's face: XLA custom calls, registered from Python by splatax/native.
 #include <mutex>
-#include <string>
 #include <vector>
 
 #include "limits.h"
@@ -105,8 +104,10 @@ ffi::Error backward(ffi::ThreadPool threads, Floats means2d, Floats sqrt_conics,
       input_of(means2d, sqrt_conics, depths, extents, opacities, channels, size[1], size[0]);
   auto scratch = pool.take(*ticket.typed_data());
   const bool binned = scratch != nullptr;
-  if (!binned) scratch = pool.take();
-  if (!binned) scratch->ticket = 0;
+  if (!binned) {
+    scratch = pool.take();
+    scratch->ticket = 0;
+  }
   scratch->expected = false;
   rasterize_gradient(
       input, {sums.typed_data(), alpha.typed_data(), d_sums.typed_data(), d_alpha.typed_data()},
@@ -189,22 +190,24 @@ ffi::Error work(ffi::ThreadPool threads, Result sums, int64_t, int64_t rounds) {
   return ffi::Error::Success();
 }
 
-// A binding with so many more arrays, all of them float32, as arguments or results.
-template <int N, class Binding>
-auto arrays(Binding binding) {
+// A binding to which `add` has added something N times.
+template <int N, class Binding, class Add>
+auto repeated(Binding&& binding, const Add& add) {
   if constexpr (N == 1) {
-    return std::move(binding).template Arg<Floats>();
+    return add(std::move(binding));
   } else {
-    return arrays<N - 1>(std::move(binding).template Arg<Floats>());
+    return repeated<N - 1>(add(std::move(binding)), add);
   }
 }
+
+// A binding with N more arrays, all of them float32, as arguments or results.
 template <int N, class Binding>
-auto results(Binding binding) {
-  if constexpr (N == 1) {
-    return std::move(binding).template Ret<Floats>();
-  } else {
-    return results<N - 1>(std::move(binding).template Ret<Floats>());
-  }
+auto arrays(Binding&& binding) {
+  return repeated<N>(std::move(binding), [](auto&& b) { return std::move(b).template Arg<Floats>(); });
+}
+template <int N, class Binding>
+auto results(Binding&& binding) {
+  return repeated<N>(std::move(binding), [](auto&& b) { return std::move(b).template Ret<Floats>(); });
 }
 
 // Calls begin with this.

@@ -2,7 +2,6 @@
 
 #include "gradient.h"
 #include "rasterize.h"
-#include "tiles.h"
 
 namespace splatax {
 namespace {
@@ -56,12 +55,11 @@ void gather(const Input& input, const Binning& binning, const Round& round, cons
 
 // The state of a tile before its first splat.
 template <int C, bool PULLED>
-void start(const Input& input, const Cotangents& cotangents, int first, int size, int left, int top,
+void start(const Input& input, const Cotangents& cotangents, int first, int size, const Tile& tile,
            TileGradient<C, PULLED>& state) {
   std::memset(static_cast<void*>(&state), 0, sizeof state);
-  for (auto& block : state.transmittance) std::fill(block, block + LANES, -1.0f);
-  each_pixel(input, left, top, [&](int b, int lane, size_t pixel) {
-    state.transmittance[b][lane] = 1;
+  let_light_through(input, tile, state.transmittance);
+  each_pixel(input, tile, [&](int b, int lane, size_t pixel) {
     // Alpha counts once, with the first channels.
     state.d_alpha[b][lane] = first == 0 ? cotangents.d_alpha[pixel] : 0;
     float behind = state.d_alpha[b][lane] * cotangents.alpha[pixel];
@@ -81,24 +79,17 @@ void add_group(const Input& input, const Cotangents& cotangents, const Gradients
   Binning& binning = scratch.binning;
   binning.load_channels(input, first, size, workers);
   TileStates<TileGradient<C, PULLED>> states(binning, scratch);
-  for (size_t number = 0; number < binning.rounds.size(); ++number) {
-    const Round round = binning.rounds[number];
-    binning.list(static_cast<int>(number), workers);
-    const int32_t pairs = binning.starts[binning.tiles()];
-    auto* shares = reinterpret_cast<float(*)[SHARES]>(
-        scratch.shares.at_least(static_cast<size_t>(pairs) * SHARES));
+  each_round(binning, workers, [&](const Round& round) {
+    const size_t pairs = binning.pair_count();
+    auto* shares = reinterpret_cast<float(*)[SHARES]>(scratch.shares.at_least(pairs * SHARES));
     uint8_t* flags = scratch.flags.at_least(pairs);
-    std::memset(flags, 0, pairs);
-    workers.each(binning.tiles(), [&](int tile) {
-      const int left = binning.left(tile), top = binning.top(tile), begin = binning.starts[tile];
-      const Pair* list = binning.pairs.get() + begin;
-      const int count = binning.starts[tile + 1] - begin;
-      TileGradient<C, PULLED> local, &state = states.of(tile, local);
-      if (round.begin == 0) start(input, cotangents, first, size, left, top, state);
-      state.accumulate(binning.splats.get(), list, count, left, top, shares, flags);
+    std::fill_n(flags, pairs, uint8_t{0});
+    states.each_tile(workers, [&](const Tile& tile, TileGradient<C, PULLED>& state) {
+      if (round.begin == 0) start(input, cotangents, first, size, tile, state);
+      state.accumulate(tile, shares, flags);
     });
     gather(input, binning, round, shares, flags, first, size, gradients, workers);
-  }
+  });
 }
 
 }  // namespace

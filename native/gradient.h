@@ -10,8 +10,8 @@
 // gradient.cc.
 #pragma once
 
-#include "chunk.h"
 #include "reduction.h"
+#include "tiles.h"
 
 namespace splatax {
 
@@ -39,10 +39,9 @@ struct TileGradient {
   alignas(64) float d_alpha[BLOCKS][LANES];
 
   // For each pair: writes its shares, and sets its flag, if any pixel of the tile sees the splat.
-  void accumulate(const Splat* splats, const Pair* pairs, int count, float left, float top,
-                  float (*shares)[SHARES], uint8_t* flags) {
+  void accumulate(const Tile& tile, float (*shares)[SHARES], uint8_t* flags) {
     uint32_t live = live_blocks(transmittance);
-    each_chunk<C>(splats, pairs, count, left, top, live, [&](const Chunk& chunk, const uint64_t* touching, int first) {
+    each_chunk<C>(tile, live, [&](const Chunk& chunk, const uint64_t* touching, int first) {
       uint16_t blocks[CHUNK] = {};
       for (int b = 0; b < BLOCKS; ++b) {
         if (!(live >> b & 1)) continue;
@@ -52,18 +51,18 @@ struct TileGradient {
       }
       for (int i = 0; i < chunk.size && live; ++i) {
         if (!(blocks[i] & live)) continue;
-        const Pair& pair = pairs[first + i];
+        const int32_t index = tile.pairs[first + i].index;
         alignas(64) float sums[LANES];
-        live = accumulate_splat(chunk, i, blocks[i] & live, live, left, top, sums);
-        write_shares(sums, left + TILE / 2 - chunk.x[i], top + TILE / 2 - chunk.y[i], shares[pair.index]);
-        flags[pair.index] = 1;
+        live = accumulate_splat(chunk, i, blocks[i] & live, live, tile, sums);
+        write_shares(sums, tile.left + TILE / 2 - chunk.x[i], tile.top + TILE / 2 - chunk.y[i], shares[index]);
+        flags[index] = 1;
       }
     });
   }
 
  private:
   // Sums over some blocks for one splat; returns which blocks still have pixels that are not done.
-  uint32_t accumulate_splat(const Chunk& chunk, int i, uint32_t blocks, uint32_t live, float left, float top,
+  uint32_t accumulate_splat(const Chunk& chunk, int i, uint32_t blocks, uint32_t live, const Tile& tile,
                             float* sums) {
     const PixelCentres centres;
     constexpr int SUMS = PULLED ? SHARES : MOMENTS + C;
@@ -71,11 +70,11 @@ struct TileGradient {
     for (Lanes& sum : total) sum = all(0);
     for (; blocks; blocks &= blocks - 1) {
       const int b = __builtin_ctz(blocks);
-      const float column = b % BLOCKS_A_SIDE * BLOCK, row = b / BLOCKS_A_SIDE * BLOCK;
+      const int column = block_left(b), row = block_top(b);
       const Lanes before = load(transmittance[b]);
       const Mask alive = all(0) <= before;
       const Lanes T = max(before, all(0) - before);
-      const Blend step(chunk, i, centres.x + all(left + column), centres.y + all(top + row), T, alive);
+      const Blend step(chunk, i, centres.x + all(tile.left + column), centres.y + all(tile.top + row), T, alive);
 
       Lanes value = load(d_alpha[b]);
       for (int c = 0; c < C; ++c) {

@@ -16,7 +16,9 @@ struct CameraGradient {
     for (Lanes& sum : sums) sum = all(0);
   }
   SPLATAX_INLINE void add(int field, Lanes share) { sums[field] += share; }
-  SPLATAX_INLINE void add(int field, const Vector& share) { add(field, share.x), add(field + 1, share.y), add(field + 2, share.z); }
+  SPLATAX_INLINE void add(int field, const Vector& share) {
+    add(field, share.x), add(field + 1, share.y), add(field + 2, share.z);
+  }
   // To the rotation: share a b^T.
   SPLATAX_INLINE void add_outer(const Vector& a, const Vector& b) {
     add(ROTATION, a.x * b), add(ROTATION + 3, a.y * b), add(ROTATION + 6, a.z * b);
@@ -35,8 +37,8 @@ struct CameraGradient {
 // Slope x / z, clipped, in the Jacobian: what reaches the point, and through the bounds the camera.
 //
 // Returns dL/d (x / z); the bounds are -(c + margin) / f and (size - c + margin) / f.
-SPLATAX_INLINE Lanes clip_gradient(const Clipped& slope, Lanes d_slope, Lanes focal, int focal_field, int centre_field,
-                    CameraGradient& camera) {
+SPLATAX_INLINE Lanes clip_gradient(const Clipped& slope, Lanes d_slope, Lanes focal, int focal_field,
+                                   int centre_field, CameraGradient& camera) {
   const Lanes d_outside = where(slope.below, d_slope, or_zero(slope.above, d_slope));
   camera.add(centre_field, -(d_outside / focal));
   camera.add(focal_field, -(d_outside * slope.value / focal));

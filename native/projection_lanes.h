@@ -28,6 +28,12 @@ struct Clipped {
       : value(min(max(x, low), high)), below(x < low), above(high < x) {}
 };
 
+// A slope in the Jacobian, clipped to the image and a margin around it.
+SPLATAX_INLINE Clipped clipped(Lanes slope, Lanes centre, Lanes focal, int size) {
+  const Lanes margin = all(FRUSTUM_MARGIN * 0.5f * size);
+  return {slope, -(centre + margin) / focal, (all(size) - centre + margin) / focal};
+}
+
 // What the image and the gradient have in common, for sixteen Gaussians.
 struct Projection {
   Matrix rotation;            // of the camera, columns
@@ -89,14 +95,8 @@ struct Projection {
     opacity = own_opacity * fade;
   }
 
-  Clipped clipped_x(const View& view) const {
-    const Lanes margin = all(FRUSTUM_MARGIN * 0.5f * view.width);
-    return {slope_x, -(cx + margin) / fx, (all(view.width) - cx + margin) / fx};
-  }
-  Clipped clipped_y(const View& view) const {
-    const Lanes margin = all(FRUSTUM_MARGIN * 0.5f * view.height);
-    return {slope_y, -(cy + margin) / fy, (all(view.height) - cy + margin) / fy};
-  }
+  Clipped clipped_x(const View& view) const { return clipped(slope_x, cx, fx, view.width); }
+  Clipped clipped_y(const View& view) const { return clipped(slope_y, cy, fy, view.height); }
 
  private:
   void orient(const Gaussians& gaussians, int first, int count) {

@@ -1,9 +1,7 @@
 // The 2D Gaussians of one view, as JAX hands them over and as the kernels want them.
 #pragma once
 
-#include <cstddef>
 #include <cstdint>
-#include <memory>
 
 namespace splatax {
 
@@ -12,6 +10,10 @@ constexpr int BLOCK = 4;            // pixels a side: as many pixels as lanes
 constexpr int BLOCKS_A_SIDE = TILE / BLOCK;
 constexpr int BLOCKS = BLOCKS_A_SIDE * BLOCKS_A_SIDE;
 constexpr int GROUP = 4;            // channels that are blended together
+
+// The corner of a block in its tile, pixels.
+constexpr int block_left(int b) { return b % BLOCKS_A_SIDE * BLOCK; }
+constexpr int block_top(int b) { return b / BLOCKS_A_SIDE * BLOCK; }
 
 // As in splatax/splats.py.
 constexpr float MIN_ALPHA = 1.0f / 255;
@@ -43,31 +45,5 @@ struct Splat {
   uint16_t first_column, last_column, first_row, last_row;  // tiles that its box covers
 };
 static_assert(sizeof(Splat) == 64, "one cache line");
-
-// Memory that only grows and is not initialized, kept between calls: fresh pages are slow.
-template <class T>
-class Buffer {
- public:
-  T* at_least(size_t size) {
-    if (size > size_) {
-      size_ = size + size / 4;
-      memory_.reset();
-      memory_.reset(new T[size_]);
-    }
-    return memory_.get();
-  }
-  // The same for records of another type, which start at a cache line.
-  template <class Record>
-  Record* aligned(size_t count) {
-    const auto address = reinterpret_cast<uintptr_t>(at_least((count * sizeof(Record) + 63) / sizeof(T) + 64));
-    return reinterpret_cast<Record*>((address + 63) / 64 * 64);
-  }
-  T* get() const { return memory_.get(); }
-  T& operator[](size_t i) const { return memory_[i]; }
-
- private:
-  size_t size_ = 0;
-  std::unique_ptr<T[]> memory_;
-};
 
 }  // namespace splatax

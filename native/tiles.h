@@ -1,20 +1,58 @@
-// What the image and its gradient have in common: the walk over tiles, pixels and channels.
+// What the image and its gradient have in common: the walk over rounds, tiles, pixels and channels.
 #pragma once
 
+#include "chunk.h"
 #include "rasterize.h"
 
 namespace splatax {
 
+// Lists the pairs of one round after the other, and calls body(round).
+template <class Body>
+void each_round(Binning& binning, Workers& workers, const Body& body) {
+  for (size_t number = 0; number < binning.rounds.size(); ++number) {
+    binning.list(static_cast<int>(number), workers);
+    body(binning.rounds[number]);
+  }
+}
+
+// The states of tiles, which last from round to round. With a single round, as almost always, a
+// state lives on the stack of the thread that works on it.
+template <class State>
+class TileStates {
+ public:
+  TileStates(const Binning& binning, Scratch& scratch) : binning_(binning) {
+    if (binning.rounds.size() > 1) kept_ = scratch.states.aligned<State>(binning.tiles());
+  }
+
+  // Calls visit(tile, state) for all tiles, with their lists of this round, on all threads.
+  template <class Visit>
+  void each_tile(Workers& workers, const Visit& visit) {
+    workers.each(binning_.tiles(), [&](int number) {
+      State local;
+      visit(binning_.tile(number), kept_ ? kept_[number] : local);
+    });
+  }
+
+ private:
+  const Binning& binning_;
+  State* kept_ = nullptr;
+};
+
 // Calls visit(block, lane, pixel) for the pixels of a tile that are in the image.
 template <class Visit>
-void each_pixel(const Input& input, int left, int top, const Visit& visit) {
+void each_pixel(const Input& input, const Tile& tile, const Visit& visit) {
   for (int b = 0; b < BLOCKS; ++b) {
     for (int lane = 0; lane < LANES; ++lane) {
-      const int x = left + b % BLOCKS_A_SIDE * BLOCK + lane % BLOCK;
-      const int y = top + b / BLOCKS_A_SIDE * BLOCK + lane / BLOCK;
+      const int x = tile.left + block_left(b) + lane % BLOCK, y = tile.top + block_top(b) + lane / BLOCK;
       if (x < input.width && y < input.height) visit(b, lane, static_cast<size_t>(y) * input.width + x);
     }
   }
+}
+
+// Transmittance before the first splat: 1, and negated outside the image, where nothing is ever drawn.
+inline void let_light_through(const Input& input, const Tile& tile, float (*transmittance)[LANES]) {
+  for (int b = 0; b < BLOCKS; ++b) std::fill_n(transmittance[b], LANES, -1.0f);
+  each_pixel(input, tile, [&](int b, int lane, size_t) { transmittance[b][lane] = 1; });
 }
 
 // Calls body(first, size) for groups of channels; at least once, for alpha.
@@ -26,20 +64,5 @@ void each_group(int channels, const Body& body) {
     first += GROUP;
   } while (first < channels);
 }
-
-// The states of tiles, which last from round to round. With a single round, as almost always, a
-// state lives on the stack of the thread that works on it.
-template <class State>
-class TileStates {
- public:
-  TileStates(const Binning& binning, Scratch& scratch) {
-    if (binning.rounds.size() > 1) kept_ = scratch.states.aligned<State>(binning.tiles());
-  }
-
-  State& of(int tile, State& local) { return kept_ ? kept_[tile] : local; }
-
- private:
-  State* kept_ = nullptr;
-};
 
 }  // namespace splatax

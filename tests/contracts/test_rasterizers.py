@@ -1,6 +1,7 @@
 """What every rasterizer backend must do. A new one enrols by its line in `rasterizers.BACKENDS`."""
 
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -34,6 +35,7 @@ def draw(scene, backend):
     return rasterizers.composite(scene, scene.colors, backend=backend)
 
 
+@partial(jax.jit, static_argnames="backend")
 def gradients(scene, channels, cotangents, backend):
     """Of <image, cotangents> in everything that a backend differentiates."""
 
@@ -41,7 +43,7 @@ def gradients(scene, channels, cotangents, backend):
         image, alpha = rasterizers.composite(scene, channels, backend=backend)
         return jnp.sum(image * cotangents[0]) + jnp.sum(alpha * cotangents[1])
 
-    of_scene, of_channels = jax.jit(jax.grad(objective, argnums=(0, 1)))(scene, channels)
+    of_scene, of_channels = jax.grad(objective, argnums=(0, 1))(scene, channels)
     found = {
         "means2d": of_scene.means2d,
         "sqrt_conics": of_scene.sqrt_conics,

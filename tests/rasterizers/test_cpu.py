@@ -2,6 +2,7 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +20,7 @@ pytestmark = pytest.mark.skipif(
 SCENE = random_splats(7, n=600, size=(70, 53), sigma=(1, 12))
 
 
+@partial(jax.jit, static_argnames="backend")
 def image_and_gradient(scene, backend=cpu.best, channels=None):
     def objective(scene, channels):
         image, alpha = backend.composite(scene, channels)
@@ -26,7 +28,7 @@ def image_and_gradient(scene, backend=cpu.best, channels=None):
         return jnp.sum(image * weights) + jnp.sum(alpha * weights[..., 0]), (image, alpha)
 
     channels = scene.colors if channels is None else channels
-    (_, image), gradient = jax.jit(jax.value_and_grad(objective, (0, 1), has_aux=True))(scene, channels)
+    (_, image), gradient = jax.value_and_grad(objective, (0, 1), has_aux=True)(scene, channels)
     return [*image, *jax.tree.leaves(gradient)]
 
 

@@ -3,7 +3,7 @@
 import jax
 import pytest
 
-from splatax.budget import FEWEST_STEPS, Changes, Clock, Costs, measured, parse_seconds, plan
+from splatax.budget import FEWEST_STEPS, ROUND, Changes, Clock, Costs, measured, parse_seconds, plan
 from splatax.training.recipes import Recipe
 
 FAST, SLOW = Costs(0.010, 2e-7), Costs(0.020, 8e-7)
@@ -24,7 +24,7 @@ def test_what_is_no_time_is_refused(text):
 def test_a_plan_takes_the_time_that_it_is_given(costs, seconds):
     chosen = plan(costs, seconds, first=10_000, room=100_000)
     spent = costs.run(chosen.steps, 10_000, chosen.max_gaussians)
-    one_more = costs.run(chosen.steps + 1, 10_000, chosen.max_gaussians + 40)
+    one_more = costs.run(chosen.steps + 1, 10_000, chosen.max_gaussians + ROUND)
     assert spent <= seconds < one_more
 
 

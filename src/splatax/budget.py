@@ -22,6 +22,7 @@ GAUSSIANS_PER_STEP = 60  # of a run; see docs/results.md
 HEAVIER = 1.45  # a step of a capture than one of a procedural scene: 1.6 measured on fern, 1.4 on fox
 COMPILING = 0.7  # seconds for each size of the arrays that a scene grows through
 FEWEST_STEPS = 200
+ROUND = 1_000  # Gaussians: plans that differ little share compiled programs
 UNITS = {"s": 1.0, "sec": 1.0, "min": 60.0, "m": 60.0, "h": 3600.0}
 
 
@@ -91,7 +92,8 @@ def plan(costs: Costs, seconds: int | float, first: int, room: int, most: int | 
     """
 
     def gaussians(steps: int) -> int:
-        return most or int(np.clip(GAUSSIANS_PER_STEP * steps, min(first, room), room))
+        taught = GAUSSIANS_PER_STEP * steps // ROUND * ROUND
+        return most or int(np.clip(taught, min(first, room), room))
 
     low, high = FEWEST_STEPS, 10_000_000
     while low < high:  # the most steps that fit

@@ -41,12 +41,10 @@ def with_empty_slots(gaussians: Gaussians, count: Int[Array, ""]) -> Gaussians:
 def without_broken(gaussians: Gaussians) -> tuple[Gaussians, Int[Array, ""]]:
     """The same, but with empty slots where a Gaussian is not finite; and how many those are."""
 
-    def finite(leaf: Array) -> Array:
-        return jnp.isfinite(leaf.reshape(len(leaf), -1)).all(axis=1)
-
     logits = gaussians.opacity_logits
-    rest = (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.sh)
-    good = jnp.stack([jnp.isfinite(logits) | jnp.isneginf(logits), *map(finite, rest)]).all(axis=0)
+    good = jnp.isfinite(logits) | jnp.isneginf(logits)
+    for leaf in (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.sh):
+        good &= jnp.isfinite(leaf).all(axis=range(1, leaf.ndim))
     cleared = jax.tree.map(
         lambda leaf: jnp.where(good.reshape(-1, *[1] * (leaf.ndim - 1)), leaf, 0), gaussians
     )

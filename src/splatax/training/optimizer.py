@@ -64,6 +64,7 @@ def update(
     return replace(gaussians, quats=jax.vmap(quaternions.normalize)(gaussians.quats)), opt_state
 
 
+@jax.jit
 def inherit(opt_state: optax.OptState, lineage: Lineage) -> optax.OptState:
     """Moments follow their Gaussian to its new row; newborns start from zero."""
 

@@ -17,6 +17,16 @@ from splatax.errors import DatasetError, InputError
 from splatax.reconstruction import diagnosis, pipeline, reconstruct, work
 from splatax.reconstruction.pairs import Exhaustive, Sequential
 
+FEW = pipeline.VERY_FEW
+
+
+@pytest.fixture(scope="module", autouse=True)
+def normal_features():
+    """They are enough for the corner, in a fourth of the time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pipeline, "VERY_FEW", 0)
+        yield
+
 
 @pytest.fixture(scope="module")
 def photos(tmp_path_factory):
@@ -264,9 +274,11 @@ def test_the_focal_length_of_exif_is_by_the_diagonal(data):
 
 
 @pytest.mark.slow
-def test_all_photos_of_the_fern_are_registered(data, tmp_path):
+def test_all_photos_of_the_fern_are_registered(data, tmp_path, monkeypatch):
+    monkeypatch.setattr(pipeline, "VERY_FEW", FEW)
     result = reconstruct(data / "fern_photos", tmp_path / "capture")
     assert len(result.registered) == 20
+    assert result.points > 7000  # 3,600 of normal features: training from so few loses 0.5 dB
     dataset = sx.load_dataset(tmp_path / "capture")
     found = np.stack([np.asarray(view.camera.position) for view in dataset.views])
     true = np.stack([np.asarray(view.camera.position) for view in sx.load_dataset(data / "fern").views])

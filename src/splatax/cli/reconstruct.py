@@ -24,7 +24,11 @@ PAIRINGS: dict[str, Pairing | None] = {
     "similar": Similar(),
     "sequential": Sequential(),
 }
-DETAILS = {"normal": Features(), "high": Features(longest_side=2400, most=16_384, first_octave=-1)}
+DETAILS: dict[str, Features | None] = {
+    "auto": None,
+    "normal": Features(),
+    "high": Features(longest_side=2400, most=16_384, first_octave=-1),
+}
 PairingName = Literal[*PAIRINGS]  # type: ignore[valid-type]
 DetailName = Literal[*DETAILS]  # type: ignore[valid-type]
 NAMED = 5  # photos of one reason that are named
@@ -47,8 +51,9 @@ class Reconstruct:
     matching: PairingName = "auto"
     """Which pairs of photos to match: all, those that look alike, or those that follow each other.
     "auto": all of up to 80 photos, those alike of more, those that follow each other of a video."""
-    detail: DetailName = "normal"
-    """"high" looks for features four times as long, where "normal" finds too few."""
+    detail: DetailName = "auto"
+    """"high" looks for features four times as long, where "normal" finds too few. "auto": "normal", and
+    smaller features too of up to 30 photos."""
     seed: int = 0
     """Of all randomness."""
     overwrite: bool = False

@@ -1,9 +1,20 @@
 """Runs that are planned for a time."""
 
 import jax
+import numpy as np
 import pytest
 
-from splatax.budget import FEWEST_STEPS, ROUND, Changes, Clock, Costs, measured, parse_seconds, plan
+from splatax.budget import (
+    FEWEST_STEPS,
+    ROUND,
+    Changes,
+    Clock,
+    Costs,
+    mean_count,
+    measured,
+    parse_seconds,
+    plan,
+)
 from splatax.training.recipes import Recipe
 
 FAST, SLOW = Costs(0.010, 2e-7), Costs(0.020, 8e-7)
@@ -26,6 +37,13 @@ def test_a_plan_takes_the_time_that_it_is_given(costs, seconds):
     spent = costs.run(chosen.steps, 10_000, chosen.max_gaussians)
     one_more = costs.run(chosen.steps + 1, 10_000, chosen.max_gaussians + ROUND)
     assert spent <= seconds < one_more
+
+
+def test_a_run_has_as_many_gaussians_in_the_mean_as_it_has_over_its_steps():
+    assert mean_count(1000, 1000) == 1000
+    steps = np.linspace(0, 1, 3001)
+    counts = 1000 * 64 ** np.minimum(3 * steps, 1)  # by equal factors in the first third
+    assert mean_count(1000, 64_000) == pytest.approx(counts.mean(), rel=0.01)
 
 
 def test_more_time_is_more_steps_and_more_gaussians_up_to_what_there_is_room_for():

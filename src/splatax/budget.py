@@ -38,6 +38,12 @@ def parse_seconds(text: str) -> float:
     return float(match[1]) * UNITS[match[2]]
 
 
+def mean_count(first: int, most: int) -> float:
+    """Of the Gaussians of a run of the recipe `default`, over its steps: it grows by equal factors."""
+    growing = (most - first) / np.log(most / first) if most > first else most
+    return float(growing + (GROWING - 1) * most) / GROWING
+
+
 @dataclass(frozen=True)
 class Costs:
     """Seconds that a step takes: so many, and so many for each Gaussian."""
@@ -49,11 +55,9 @@ class Costs:
         return self.base + self.each * count
 
     def run(self, steps: int, first: int, most: int) -> float:
-        """Seconds for a run of the recipe `default`, which grows by equal factors to `most`."""
-        growing = (most - first) / np.log(most / first) if most > first else most
+        """Seconds for a run that grows to `most`."""
         buckets = np.log(max(most / first, 1)) / np.log(GROWTH) + 1
-        average = (self.step(growing) + (GROWING - 1) * self.step(most)) / GROWING
-        return float(steps * average + COMPILING * buckets)
+        return float(steps * self.step(mean_count(first, most)) + COMPILING * buckets)
 
 
 def measured(size: tuple[int, int], recipe: Recipe) -> Costs:

@@ -14,7 +14,6 @@ from captures import SIZE, model_of, pinhole, write_capture, write_transforms
 from splatax.budget import HEAVIER
 from splatax.inspection import examine, problems_of, seconds_to_train
 from splatax.inspection.looks import looks_of, robust_scores, spread
-from splatax.inspection.pace import mean_count
 from splatax.io.images import read
 from splatax.report.capture import capture_page, facts_of, roughly
 from splatax.report.plan import upright_frame
@@ -170,13 +169,6 @@ def test_up_in_the_picture_is_where_photos_have_their_top():
     np.testing.assert_allclose(up, [0, 1, 0])
     np.testing.assert_allclose(away, [0, 0, -1])
     np.testing.assert_allclose(right, [1, 0, 0])
-
-
-def test_a_run_has_as_many_gaussians_in_the_mean_as_it_has_over_its_steps():
-    assert mean_count(1000, 1000) == 1000
-    steps = np.linspace(0, 1, 3001)
-    counts = 1000 * 64 ** np.minimum(3 * steps, 1)  # by equal factors in the first third
-    assert mean_count(1000, 64_000) == pytest.approx(counts.mean(), rel=0.01)
 
 
 def test_time_is_forecast_for_all_steps_of_the_default_recipe(capture, monkeypatch):

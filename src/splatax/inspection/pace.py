@@ -3,13 +3,11 @@
 import time
 from dataclasses import replace
 
-import numpy as np
-
 from splatax import rasterizers
 from splatax.bench.operations import step
 from splatax.bench.scenes import procedural
 from splatax.bench.timing import timed
-from splatax.budget import GROWING, HEAVIER
+from splatax.budget import HEAVIER, mean_count
 from splatax.dataset import Dataset
 from splatax.training.recipes import default
 
@@ -35,9 +33,3 @@ def seconds_to_train(dataset: Dataset, gaussians: int) -> float:
     while time.monotonic() < end and len(times) < ROUNDS:
         times.append(timed(work))
     return HEAVIER * min(times) / 1e3 * recipe.steps
-
-
-def mean_count(first: int, most: int) -> float:
-    """Of the Gaussians of a run that grows by equal factors, in its first part, and then no more."""
-    growing = (most - first) / np.log(most / first) if most > first else most
-    return float(growing + (GROWING - 1) * most) / GROWING

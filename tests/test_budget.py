@@ -73,6 +73,12 @@ def test_a_run_ends_in_time_whatever_the_plan_took_the_speed_for(factor):
     assert seconds == pytest.approx(60.0, rel=0.1)
 
 
+def test_a_run_is_not_shortened_to_hardly_a_picture():
+    clock = Clock(seconds=10.0)
+    clock.note(100, 500, seconds=50.0)
+    assert clock(100) == FEWEST_STEPS
+
+
 def test_changes_repeat_without_a_clock():
     changes = Changes([(3, 8), (5, 6)])
     assert [changes(step) for step in range(1, 7)] == [None, None, 8, None, 6, None]

@@ -21,7 +21,7 @@ ROUNDS = 5
 GAUSSIANS_PER_STEP = 60  # of a run; see docs/results.md
 HEAVIER = 1.45  # a step of a capture than one of a procedural scene: 1.6 measured on fern, 1.4 on fox
 COMPILING = 0.7  # seconds for each size of the arrays that a scene grows through
-FEWEST_STEPS = 200
+FEWEST_STEPS = 200  # with fewer there is hardly a picture, so a run takes longer than asked rather
 ROUND = 1_000  # Gaussians: plans that differ little share compiled programs
 UNITS = {"s": 1.0, "sec": 1.0, "min": 60.0, "m": 60.0, "h": 3600.0}
 
@@ -155,6 +155,6 @@ class Clock(Changes):
         """
         (before, then), self.checked = self.checked, (step, seconds)
         a_step = (seconds - then) / (step - before)
-        planned = step + max(round((self.seconds - seconds) / a_step), 1)
+        planned = max(step + max(round((self.seconds - seconds) / a_step), 1), FEWEST_STEPS)
         if planned < total or (planned > total and step > total / GROWING and before > total / GROWING):
             self.made.append((step, planned))

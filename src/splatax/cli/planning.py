@@ -3,16 +3,20 @@
 import math
 import re
 from dataclasses import dataclass
+from pathlib import Path
 
 import splatax as sx
 from splatax.budget import Plan, measured, plan
 from splatax.cli.display import duration
+from splatax.cli.options import load_scene
 from splatax.cli.platform import physical_memory
 from splatax.dataset import Dataset
 from splatax.errors import InputError
 from splatax.forecast import memory, most_gaussians
 
 UNITS = {"": 1, "B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "MIB": 2**20, "GIB": 2**30}
+ENOUGH_STEPS = 500  # of a budget: with fewer, smaller photos teach more
+SMALLEST_SIDE = 640  # pixels of the longer side that photos are not made smaller than for it
 PHOTOS_SHARE = 0.5  # of all memory, or of what is left of the limit: the most that decoded photos may take
 
 
@@ -96,3 +100,33 @@ def within(seconds: int | float, recipe: sx.Recipe, dataset: sx.Dataset, room: i
         f"{1e3 * costs.step(chosen.max_gaussians):.0f} ms a step in the end"
     )
     return chosen
+
+
+def shrunk(scene: Path, dataset: sx.Dataset, steps: int) -> tuple[int, sx.Dataset] | None:
+    """The capture with smaller photos, and what they are divided by, where a budget has too few steps.
+
+    A step takes about as long as its photo has pixels. None where there are steps enough, or photos are
+    small already.
+
+    Args:
+        scene: of the capture.
+        dataset: at the size that was planned for.
+        steps: that there is time for at that size.
+    """
+    found, affordable = None, pixels(dataset) * steps / ENOUGH_STEPS
+    for divisor in range(2, 9):
+        if pixels(found[1] if found else dataset) <= affordable:
+            break
+        smaller = load_scene(scene, divisor)
+        camera = smaller.train[0].camera
+        if max(camera.width, camera.height) < SMALLEST_SIDE:
+            break
+        if pixels(smaller) < pixels(dataset):
+            found = divisor, smaller
+    return found
+
+
+def pixels(dataset: sx.Dataset) -> int:
+    """Of a photo."""
+    camera = dataset.train[0].camera
+    return camera.width * camera.height

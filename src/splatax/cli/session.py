@@ -18,6 +18,7 @@ from splatax.errors import InputError
 from splatax.evaluation import picture
 from splatax.io.files import write_whole
 from splatax.report.history import Evaluation, History
+from splatax.report.pictures import shrunk
 from splatax.training.loop import RunState
 
 FRAMES = 20  # of the animation, close together at first, when most happens
@@ -156,7 +157,8 @@ class Session:
             low_pass=self.recipe.low_pass,
             backend=self.recipe.backend,
         )
-        self.history.frames.append((f"step {progress.step:,}   {progress.count:,} Gaussians", image))
+        label = f"step {progress.step:,}   {progress.count:,} Gaussians"
+        self.history.frames.append((label, shrunk(image)))
 
     def evaluate(self, progress: sx.Progress) -> None:
         """The test views."""

@@ -21,7 +21,7 @@ from splatax.cli.options import (
     load_scene,
     resolve_backend,
 )
-from splatax.cli.planning import Room, room_within, within
+from splatax.cli.planning import Room, room_within, shrunk, within
 from splatax.cli.results import Run, conclude, keep_cameras
 from splatax.cli.resume import Earlier, facts, find
 from splatax.cli.runs import finished
@@ -177,7 +177,7 @@ class Train:
         settled = replace(self, scene=scene, background=self.background or dataset.background)
         room = room_within(self.memory, dataset, settled.to_recipe(dataset).initialization.number(dataset))
         if earlier is None:
-            settled = settled.planned(dataset, room)
+            settled, dataset = settled.planned(dataset, room)
         recipe = settled.to_recipe(dataset)
         checkpoints = Checkpoints(
             out,
@@ -220,12 +220,14 @@ class Train:
             )
         return dataset
 
-    def planned(self, dataset: sx.Dataset, room: Room) -> "Train":
-        """The same with the numbers of steps and Gaussians that fit into the budget and the memory.
+    def planned(self, dataset: sx.Dataset, room: Room) -> "tuple[Train, sx.Dataset]":
+        """The same with the numbers of steps and Gaussians, and for short budgets with the size of photos,
+        that fit into the budget and the memory; and the capture at that size.
 
         Raises:
             InputError: if more Gaussians are asked for than there is room for.
         """
+        assert self.scene
         asked = None if self.max_gaussians == "auto" else self.max_gaussians
         if asked and asked > room.gaussians:
             raise InputError(
@@ -233,10 +235,16 @@ class Train:
                 "Give more memory, or ask for fewer."
             )
         fit = int(min(self.most(dataset), room.gaussians))
-        if self.budget is not None:
-            chosen = within(parse_seconds(self.budget), self.to_recipe(dataset), dataset, fit, asked)
-            return replace(self, steps=chosen.steps, max_gaussians=chosen.max_gaussians)
-        return self if fit == self.most(dataset) else replace(self, max_gaussians=fit)
+        if self.budget is None:
+            return (self if fit == self.most(dataset) else replace(self, max_gaussians=fit)), dataset
+        chosen = within(parse_seconds(self.budget), self.to_recipe(dataset), dataset, fit, asked)
+        settled = replace(self, steps=chosen.steps, max_gaussians=chosen.max_gaussians)
+        smaller = shrunk(self.scene, dataset, chosen.steps) if self.downscale == "auto" else None
+        if smaller is None:
+            return settled, dataset
+        downscale, dataset = smaller
+        print(f"too few steps for photos of this size: --downscale {downscale}")
+        return replace(self, downscale=downscale).planned(dataset, room)
 
     def most(self, dataset: sx.Dataset) -> int:
         """How many Gaussians there may be, but for memory."""

@@ -61,12 +61,14 @@ def roughly(seconds: int | float) -> str:
 
 
 def verdict(problems: Sequence[Problem]) -> str:
-    """ "2 problems, 1 of them serious"."""
+    """ "2 problems, 1 of them serious", "1 serious problem"."""
     serious = sum(problem.severity == "error" for problem in problems)
     if not problems:
         return "No problems found"
-    count = f"{len(problems)} problem{'s' if len(problems) > 1 else ''}"
-    return f"{count}, {serious} of them serious" if serious else count
+    count, noun = len(problems), "problem" if len(problems) == 1 else "problems"
+    if serious == count:
+        return f"{count} serious {noun}"
+    return f"{count} {noun}, {serious} of them serious" if serious else f"{count} {noun}"
 
 
 def capture_page(found: Examination, problems: Sequence[Problem]) -> str:

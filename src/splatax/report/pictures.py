@@ -72,9 +72,18 @@ def animation(frames: Sequence[tuple[str, Picture]]) -> bytes:
     return buffer.getvalue()
 
 
+def shrunk(picture: Picture) -> Picture:
+    """A picture no wider than a report shows it."""
+    height, width = picture.shape[:2]
+    if width <= REPORT_WIDTH:
+        return picture
+    size = REPORT_WIDTH, max(round(height * REPORT_WIDTH / width), 1)
+    return np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.BOX))
+
+
 def data_uri(picture: Picture) -> str:
     """A picture as a JPEG inside a page."""
-    image = _shrunk(picture)
+    image = Image.fromarray(shrunk(picture))
     buffer = io.BytesIO()
     image.save(buffer, "JPEG", quality=88)
     return encoded(buffer.getvalue(), "image/jpeg")
@@ -85,16 +94,8 @@ def encoded(contents: bytes, kind: str) -> str:
     return f"data:{kind};base64,{base64.b64encode(contents).decode()}"
 
 
-def _shrunk(picture: Picture) -> Image.Image:
-    image = Image.fromarray(picture)
-    if image.width <= REPORT_WIDTH:
-        return image
-    height = max(round(image.height * REPORT_WIDTH / image.width), 1)
-    return image.resize((REPORT_WIDTH, height), Image.Resampling.BOX)
-
-
 def _labelled(label: str, picture: Picture) -> Image.Image:
-    image = _shrunk(picture)
+    image = Image.fromarray(shrunk(picture))
     canvas = Image.new("RGB", (image.width, image.height + LABEL_HEIGHT), "black")
     canvas.paste(image, (0, 0))
     ImageDraw.Draw(canvas).text((6, image.height + 2), label, fill="white")

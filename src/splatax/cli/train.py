@@ -33,7 +33,7 @@ from splatax.report.history import History
 from splatax.training.appearance import APPEARANCES
 from splatax.training.backgrounds import BACKGROUNDS
 from splatax.training.density import Classic
-from splatax.training.initialize import InFrusta
+from splatax.training.initialize import FromPoints, InFrusta
 from splatax.training.recipes import RECIPES, room_for
 from splatax.training.refinement import REFINEMENTS
 from splatax.viewer.server import LOCAL, PORT
@@ -175,7 +175,7 @@ class Train:
         out = earlier.run if earlier else self.out or Path("runs") / scene.resolve().name
         claim(out, self.overwrite or earlier is not None)
         settled = replace(self, scene=scene, background=self.background or dataset.background)
-        room = room_within(self.memory, dataset, settled.to_recipe(dataset).initialization.number(dataset))
+        room = room_within(self.memory, dataset, self.initialization().number(dataset))
         if earlier is None:
             settled, dataset = settled.planned(dataset, room)
         recipe = settled.to_recipe(dataset)
@@ -280,12 +280,9 @@ class Train:
             InputError: if the backend cannot run here.
         """
         recipe = RECIPES[self.recipe](steps=self.steps, max_gaussians=self.most(dataset))
-        start = recipe.initialization
-        if self.init == "random":
-            start = InFrusta(opacity=start.opacity, scale=start.scale)
         return replace(
             recipe,
-            initialization=start,
+            initialization=self.initialization(),
             background=BACKGROUNDS[self.background] if self.background else recipe.background,
             appearance=APPEARANCES[self.appearance],
             refinement=REFINEMENTS[self.refine],
@@ -293,3 +290,8 @@ class Train:
             backend=resolve_backend(self.backend),
             seed=self.seed,
         )
+
+    def initialization(self) -> FromPoints | InFrusta:
+        """What the scene starts from."""
+        start = RECIPES[self.recipe]().initialization
+        return InFrusta(opacity=start.opacity, scale=start.scale) if self.init == "random" else start

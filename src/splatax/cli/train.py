@@ -88,8 +88,8 @@ class Train:
     each. The scene has the colours of their mean; held-out photos are compared as they are, and once more
     after a correction of colour."""
     refine: RefinementName = "none"
-    """What to improve of the training cameras: "poses", or "poses+focal". Then writes them to
-    refined/sparse/0. Held-out photos keep the cameras they were given."""
+    """What to improve of the training cameras, if they are wrong (right ones get worse): "poses", or
+    "poses+focal". Writes them to refined/sparse/0. Held-out photos keep those that they were given."""
     backend: BackendName = "auto"
     """Rasterizer. One asked for by name is never replaced by another."""
     seed: int = 0

@@ -293,5 +293,5 @@ class Train:
 
     def initialization(self) -> FromPoints | InFrusta:
         """What the scene starts from."""
-        start = RECIPES[self.recipe]().initialization
+        start = RECIPES[self.recipe](steps=self.steps).initialization
         return InFrusta(opacity=start.opacity, scale=start.scale) if self.init == "random" else start

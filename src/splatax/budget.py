@@ -6,6 +6,7 @@ of it is kept as `Changes`, and repeats without a clock.
 """
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -26,16 +27,30 @@ ROUND = 1_000  # Gaussians: plans that differ little share compiled programs
 UNITS = {"s": 1.0, "sec": 1.0, "min": 60.0, "m": 60.0, "h": 3600.0}
 
 
+def quantity(text: str, units: Mapping[str, float], wanted: str) -> float:
+    """A number with a unit, in terms of 1.
+
+    Args:
+        text: of the user, in any case.
+        units: by name, in lower case.
+        wanted: what it should be, for the message.
+
+    Raises:
+        ValueError: if it is something else, or not positive.
+    """
+    match = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*([a-z]*)\s*", text.lower())
+    if not match or match[2] not in units or not float(match[1]):
+        raise ValueError(f"{wanted}, not {text!r}")
+    return float(match[1]) * units[match[2]]
+
+
 def parse_seconds(text: str) -> float:
     """Seconds from "90s", "5min" or "1.5h".
 
     Raises:
         ValueError: if it is something else, or not positive.
     """
-    match = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*([a-z]*)\s*", text.lower())
-    if not match or match[2] not in UNITS or not float(match[1]):
-        raise ValueError(f"a time such as 90s, 5min or 1.5h, not {text!r}")
-    return float(match[1]) * UNITS[match[2]]
+    return quantity(text, UNITS, "a time such as 90s, 5min or 1.5h")
 
 
 def mean_count(first: int, most: int) -> float:

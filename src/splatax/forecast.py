@@ -5,6 +5,8 @@ Measured with the cpu backend and the recipe `default`, on Linux. Memory of an a
 
 import math
 
+from splatax.dataset import Dataset
+
 # Bytes of a process that repeats one step: Python, JAX and one program; for each pixel of a photo images,
 # gradients and what the rasterizer keeps; for each Gaussian parameters, moments, gradients and splats.
 PROCESS, PIXEL, GAUSSIAN = 0.47e9, 160, 1_450
@@ -12,6 +14,14 @@ PROCESS, PIXEL, GAUSSIAN = 0.47e9, 160, 1_450
 # Gaussians (a fit, nothing more) programs of the sizes that it grows through, copies that growing and moving
 # them make, and the gaps that those leave in memory. A run of many steps takes more of it than a short one.
 RUN_PIXEL, RUN_ROOT = 170, 2.2e6
+
+
+def photos(dataset: Dataset) -> tuple[int, int, int]:
+    """Width and height of the largest photo to train on, pixels, and bytes of all when they are decoded,
+    without alpha."""
+    sizes = [(view.camera.width, view.camera.height) for view in dataset.train]
+    width, height = max(sizes, key=math.prod)
+    return width, height, sum(3 * math.prod(size) for size in sizes)
 
 
 def step_memory(gaussians: int, width: int, height: int, photos_bytes: int = 0) -> int:
@@ -27,27 +37,14 @@ def step_memory(gaussians: int, width: int, height: int, photos_bytes: int = 0) 
 
 
 def memory(gaussians: int, width: int, height: int, photos_bytes: int = 0) -> int:
-    """Bytes of a whole run of `splatax train` at its peak, for a scene that grows to so many.
-
-    Args:
-        gaussians: at most.
-        width: of a photo, pixels; of the largest where they differ.
-        height: of a photo.
-        photos_bytes: of all decoded photos, which stay in memory: width x height x channels of each.
-    """
+    """Bytes of a whole run of `splatax train` at its peak, for a scene that grows to so many; else as
+    `step_memory`."""
     steps = step_memory(gaussians, width, height, photos_bytes)
     return round(steps + RUN_PIXEL * width * height + RUN_ROOT * math.sqrt(gaussians))
 
 
 def most_gaussians(memory_bytes: int, width: int, height: int, photos_bytes: int = 0) -> int:
-    """The most Gaussians for which `memory` is within so many bytes; 0 if not even one is.
-
-    Args:
-        memory_bytes: that there are.
-        width: as for `memory`.
-        height: as for `memory`.
-        photos_bytes: as for `memory`.
-    """
+    """The most Gaussians for which `memory` is within so many bytes; 0 if not even one is."""
     left = memory_bytes - memory(0, width, height, photos_bytes)
     if left <= 0:
         return 0

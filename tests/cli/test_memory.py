@@ -52,7 +52,7 @@ def test_more_gaussians_than_there_is_room_for_are_refused_with_the_numbers(capt
 
 @pytest.mark.parametrize("recipe", ["default", "classic"])
 def test_a_limit_lowers_the_number_of_gaussians_and_is_written_down(recipe, capture, tmp_path, monkeypatch):
-    monkeypatch.setattr("splatax.cli.planning.most_gaussians", lambda *_: 37)
+    monkeypatch.setattr("splatax.forecast.most_gaussians", lambda *_: 37)
     options = ["--memory", "4GB", "--steps", "30", "--recipe", recipe]
     cli.main(["train", str(capture), "--out", str(tmp_path), *options])
     config = json.loads((tmp_path / "config.json").read_text())

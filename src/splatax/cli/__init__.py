@@ -16,6 +16,7 @@ from splatax.cli.doctor import Doctor
 from splatax.cli.evaluate import Evaluate
 from splatax.cli.export import Export
 from splatax.cli.inspect import Inspect
+from splatax.cli.interruption import STOPPED
 from splatax.cli.page import Page
 from splatax.cli.platform import keep_compiled_programs, keep_freed_memory
 from splatax.cli.reconstruct import Reconstruct
@@ -71,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         reason = REASONS.get(error.errno or 0, f"{error.strerror or error}.")
         sys.exit(_refused(f"{error.filename or 'a file'}: {reason}"))
     except KeyboardInterrupt:
-        sys.exit(130)
+        sys.exit(STOPPED)
 
 
 def _refused(reason: object) -> int:

@@ -7,10 +7,10 @@ from pathlib import Path
 import tyro
 
 from splatax import web
-from splatax.budget import parse_seconds
 from splatax.cli.checkpoints import files
 from splatax.cli.interruption import resumable
 from splatax.cli.page import Page
+from splatax.cli.planning import parse_budget
 from splatax.cli.reconstruct import Reconstruct
 from splatax.cli.results import write_json
 from splatax.cli.session import claim
@@ -60,10 +60,7 @@ class Create:
             raise InputError(f"{self.photos}: no such folder or file.")
         if not is_capture(self.photos):
             refuse_overlap(self.photos, self.out / "capture")
-        try:
-            parse_seconds(self.budget)
-        except ValueError as error:
-            raise InputError(f"--budget: {error}.") from error
+        parse_budget(self.budget)
         claim(self.out, overwrite=True)
         if self.overwrite or not (self.out / ORDER).exists():
             return
@@ -80,7 +77,7 @@ class Create:
 
     def order(self) -> dict[str, object]:
         """What the scene is made of, as JSON values."""
-        return {"photos": str(self.photos.resolve()), "seconds": parse_seconds(self.budget)}
+        return {"photos": str(self.photos.resolve()), "seconds": parse_budget(self.budget)}
 
     def reconstructed(self) -> Path:
         """The capture of the photos, made if it is not there yet."""

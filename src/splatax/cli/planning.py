@@ -1,23 +1,34 @@
 """What a run is planned by: the time that it may take, and the memory that there is."""
 
 import math
-import re
 from dataclasses import dataclass
 from pathlib import Path
 
 import splatax as sx
-from splatax.budget import Plan, measured, plan
+from splatax import forecast
+from splatax.budget import Plan, measured, parse_seconds, plan, quantity
 from splatax.cli.display import duration
 from splatax.cli.options import load_scene
 from splatax.cli.platform import physical_memory
 from splatax.dataset import Dataset
 from splatax.errors import InputError
-from splatax.forecast import memory, most_gaussians
 
-UNITS = {"": 1, "B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "MIB": 2**20, "GIB": 2**30}
+UNITS = {"": 1.0, "b": 1.0, "kb": 1e3, "mb": 1e6, "gb": 1e9, "mib": 2.0**20, "gib": 2.0**30}
 ENOUGH_STEPS = 500  # of a budget: with fewer, smaller photos teach more
 SMALLEST_SIDE = 640  # pixels of the longer side that photos are not made smaller than for it
 PHOTOS_SHARE = 0.5  # of all memory, or of what is left of the limit: the most that decoded photos may take
+
+
+def parse_budget(text: str) -> float:
+    """Seconds from "90s", "5min" or "1.5h".
+
+    Raises:
+        InputError: if it is something else, or not positive.
+    """
+    try:
+        return parse_seconds(text)
+    except ValueError as error:
+        raise InputError(f"--budget: {error}.") from error
 
 
 def parse_bytes(text: str) -> int:
@@ -26,10 +37,10 @@ def parse_bytes(text: str) -> int:
     Raises:
         InputError: if it is something else, or not positive.
     """
-    match = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*([A-Z]*)\s*", text.upper())
-    if not match or match[2] not in UNITS or not float(match[1]):
-        raise InputError(f"--memory: a size such as 4GB or 800MB, not {text!r}.")
-    return round(float(match[1]) * UNITS[match[2]])
+    try:
+        return round(quantity(text, UNITS, "a size such as 4GB or 800MB"))
+    except ValueError as error:
+        raise InputError(f"--memory: {error}.") from error
 
 
 @dataclass(frozen=True)
@@ -58,19 +69,15 @@ def room_within(limit: str | None, dataset: Dataset, first: int) -> Room:
     """
     if limit is None:
         return Room(photos=PHOTOS_SHARE * (physical_memory() or math.inf))
-    size = (
-        max(view.camera.width for view in dataset.train),
-        max(view.camera.height for view in dataset.train),
-    )
-    total, least = parse_bytes(limit), memory(first, *size)
+    width, height, wanted = forecast.photos(dataset)
+    total, least = parse_bytes(limit), forecast.memory(first, width, height)
     if total < least:
         raise InputError(
             f"--memory {limit}: the start alone takes about {gigabytes(least)}, with {first:,} Gaussians and "
-            f"photos of {size[0]} x {size[1]}. Give more, or make the photos smaller: --downscale."
+            f"photos of {width} x {height}. Give more, or make the photos smaller: --downscale."
         )
-    wanted = sum(3 * view.camera.width * view.camera.height for view in dataset.train)
     photos = min(wanted, PHOTOS_SHARE * (total - least))
-    room = Room(most_gaussians(total, *size, round(photos)), photos)
+    room = Room(forecast.most_gaussians(total, width, height, round(photos)), photos)
     kept = "all photos" if photos == wanted else f"{gigabytes(photos)} of {gigabytes(wanted)} of photos"
     print(f"within {gigabytes(total)}: room for {room.gaussians:,} Gaussians and {kept}")
     return room

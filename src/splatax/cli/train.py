@@ -9,7 +9,7 @@ from typing import Any, Literal
 import tyro
 
 import splatax as sx
-from splatax.budget import Changes, Clock, parse_seconds
+from splatax.budget import Changes, Clock
 from splatax.cli.checkpoints import Checkpoints, unpacked
 from splatax.cli.options import (
     AppearanceName,
@@ -21,7 +21,7 @@ from splatax.cli.options import (
     load_scene,
     resolve_backend,
 )
-from splatax.cli.planning import Room, room_within, shrunk, within
+from splatax.cli.planning import Room, parse_budget, parse_bytes, room_within, shrunk, within
 from splatax.cli.results import Run, conclude, keep_cameras
 from splatax.cli.resume import Earlier, facts, find
 from splatax.cli.runs import finished
@@ -136,7 +136,7 @@ class Train:
         """What may change the number of steps while the run goes on."""
         if self.budget is None:
             return Changes(history.changes)
-        seconds, checked = parse_seconds(self.budget), (history.steps, history.train_seconds)
+        seconds, checked = parse_budget(self.budget), (history.steps, history.train_seconds)
         return Clock(history.changes, seconds, checked)
 
     def as_started(self, options: Mapping[str, Any], free: Set[str] = FREE) -> "Train":
@@ -237,7 +237,7 @@ class Train:
         fit = int(min(self.most(dataset), room.gaussians))
         if self.budget is None:
             return (self if fit == self.most(dataset) else replace(self, max_gaussians=fit)), dataset
-        chosen = within(parse_seconds(self.budget), self.to_recipe(dataset), dataset, fit, asked)
+        chosen = within(parse_budget(self.budget), self.to_recipe(dataset), dataset, fit, asked)
         settled = replace(self, steps=chosen.steps, max_gaussians=chosen.max_gaussians)
         smaller = shrunk(self.scene, dataset, chosen.steps) if self.downscale == "auto" else None
         if smaller is None:
@@ -259,6 +259,8 @@ class Train:
             value = getattr(self, option)
             if value != "auto" and value < least:
                 raise InputError(f"--{option.replace('_', '-')}: at least {least}, not {value}.")
+        if self.memory is not None:
+            parse_bytes(self.memory)
 
     def refuse_what_a_budget_decides(self) -> None:
         """Raises InputError if there is a budget that is no time, or nothing is left for it to plan."""
@@ -268,10 +270,7 @@ class Train:
             raise InputError(
                 "--budget: plans the steps of the recipe default. Leave out --recipe and --steps."
             )
-        try:
-            parse_seconds(self.budget)
-        except ValueError as error:
-            raise InputError(f"--budget: {error}.") from error
+        parse_budget(self.budget)
 
     def to_recipe(self, dataset: sx.Dataset) -> sx.Recipe:
         """The recipe that the options describe, for a capture.

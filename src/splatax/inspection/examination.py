@@ -1,6 +1,5 @@
 """All that is measured of a capture, before anything is made of it."""
 
-import math
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -74,16 +73,9 @@ def examine(path: Path, dataset: Dataset | None) -> Examination:
         {name: float(np.median(errors)) for name, errors in survey.errors.items()},
         coverage,
         gaussians,
-        memory_for(dataset, gaussians),
+        forecast.memory(gaussians, *forecast.photos(dataset)),
         available_memory(),
     )
-
-
-def memory_for(dataset: Dataset, gaussians: int) -> int:
-    """Bytes that training needs, of photos without alpha."""
-    sizes = [(view.camera.width, view.camera.height) for view in dataset.train]
-    photos_bytes = sum(3 * width * height for width, height in sizes)
-    return forecast.memory(gaussians, *max(sizes, key=math.prod), photos_bytes)
 
 
 def available_memory() -> int | None:

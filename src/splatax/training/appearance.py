@@ -8,30 +8,16 @@ from jaxtyping import Array, Float
 
 from splatax.training import rows
 from splatax.training.feed import Source
-from splatax.training.rows import Rows
+from splatax.training.rows import Rows, Unlearned
 
 
 @dataclass(frozen=True)
-class Neutral:
+class Neutral(Unlearned):
     """All photos show the colours of the scene as they are."""
-
-    def init(self, photos: int) -> tuple[()]:
-        """The state before any step: nothing is learned."""
-        return ()
-
-    def of(self, state: tuple[()], source: Source) -> tuple[()]:
-        """What is known of a photo: nothing."""
-        return ()
 
     def __call__(self, known: tuple[()], sums: Float[Array, "h w 3"], alpha: Float[Array, "h w"]):
         """The rendering as the photo would show it: as it is."""
         return sums
-
-    def update(
-        self, state: tuple[()], source: Source, gradient: tuple[()], progress: Float[Array, ""]
-    ) -> tuple[()]:
-        """The state after a step."""
-        return state
 
 
 @dataclass(frozen=True)

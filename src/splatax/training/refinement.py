@@ -13,37 +13,18 @@ from splatax.dataset import View
 from splatax.math import rigid
 from splatax.training import rows
 from splatax.training.feed import Source, sources
-from splatax.training.rows import Rows
+from splatax.training.rows import Rows, Unlearned
 
 FALL = 0.01  # what the rates end at, of what they start at (as in gsplat)
 
 
 @dataclass(frozen=True)
-class Given:
+class Given(Unlearned):
     """Nothing: the cameras are as they were given."""
-
-    def init(self, photos: int) -> tuple[()]:
-        """The state before any step: nothing is learned."""
-        return ()
-
-    def of(self, state: tuple[()], source: Source) -> tuple[()]:
-        """What is known of a photo's camera: nothing more."""
-        return ()
 
     def __call__(self, known: tuple[()], camera: Camera, extent: Float[Array, ""]) -> Camera:
         """The camera as it is now thought to be."""
         return camera
-
-    def update(
-        self,
-        state: tuple[()],
-        source: Source,
-        gradient: tuple[()],
-        progress: Float[Array, ""],
-        steps: Float[Array, ""],
-    ) -> tuple[()]:
-        """The state after a step."""
-        return state
 
 
 @dataclass(frozen=True)

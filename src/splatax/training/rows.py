@@ -7,6 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from splatax.training.feed import Source
+
 FIRST, SECOND, EPSILON = 0.9, 0.999, 1e-15  # of Adam, as for Gaussians
 
 
@@ -26,6 +28,22 @@ class Rows:
     mean: Float[Array, "photos width"]
     square: Float[Array, "photos width"]
     visits: Int[Array, " photos"]
+
+
+class Unlearned:
+    """In place of what has a table: nothing is learned of a photo, and nothing is known."""
+
+    def init(self, photos: int) -> tuple[()]:
+        """The state before any step."""
+        return ()
+
+    def of(self, state: tuple[()], source: Source) -> tuple[()]:
+        """What is known of a photo."""
+        return ()
+
+    def update(self, state: tuple[()], *step: object) -> tuple[()]:
+        """The state after a step."""
+        return state
 
 
 def zeros(photos: int, width: int) -> Rows:

@@ -14,6 +14,7 @@ from splatax import rasterizers
 from splatax.gaussians import Gaussians
 from splatax.projection import project
 from splatax.rendering import over
+from splatax.splats import Splats
 from splatax.training import optimizer
 from splatax.training.feed import Batch
 from splatax.training.optimizer import LearningRates
@@ -71,7 +72,52 @@ def _train_step(
     state: TrainState, batch: Batch, learning_rates: LearningRates, sh_every: Int[Array, ""], recipe: Recipe
 ) -> tuple[TrainState, Float[Array, ""]]:
     background_key, noise_key = jax.random.split(jax.random.fold_in(state.key, state.step))
-    background = recipe.background.sample(background_key)
+    loss, splats, d = compare(state, batch, recipe, recipe.background.sample(background_key))
+
+    # Of a bad step, the gradients count as zero and nothing moves. To choose between the old and the new
+    # scene as a whole would take a copy of all moments.
+    good = jnp.isfinite(loss)
+    gradients = jax.tree.map(lambda leaf: jnp.where(good, leaf, 0), d.gaussians)
+    gradients = optimizer.without_locked_bands(gradients, state.step, sh_every)
+    progress = state.step / state.total
+    rates = learning_rates.at(progress, state.extent, gradients.sh.shape[1])
+    rates = jax.tree.map(lambda leaf: jnp.where(good, leaf, 0), rates)
+    gaussians, opt_state = optimizer.update(state.gaussians, gradients, state.opt_state, rates)
+    gaussians = lax.optimization_barrier(gaussians)
+    gaussians = recipe.noise(gaussians, rates.means[0, 0], state.extent, noise_key)
+    total = state.total.astype(jnp.float32)
+    learned = (
+        recipe.density.observe(state.density_state, splats, d.splats),
+        recipe.appearance.update(state.appearance, batch.source, d.look, progress),
+        recipe.refinement.update(state.cameras, batch.source, d.pose, progress, total),
+    )
+    known = state.density_state, state.appearance, state.cameras
+    density_state, appearance, cameras = jax.tree.map(partial(jnp.where, good), learned, known)
+    return replace(
+        state,
+        step=state.step + 1,
+        gaussians=gaussians,
+        opt_state=opt_state,
+        density_state=density_state,
+        appearance=appearance,
+        cameras=cameras,
+        faults=state.faults._replace(steps=state.faults.steps + ~good),
+    ), loss
+
+
+class Gradients(NamedTuple):
+    """Of the loss of a view."""
+
+    gaussians: Gaussians
+    splats: Splats
+    look: Any  # what is known of the photo's colours
+    pose: Any  # and of its camera
+
+
+def compare(
+    state: TrainState, batch: Batch, recipe: Recipe, background: Float[Array, "3"]
+) -> tuple[Float[Array, ""], Splats, Gradients]:
+    """The loss of a view, the splats in it, and all gradients."""
     photo = photo_over(batch.photo, background)
 
     def image_loss(splats, look):
@@ -88,37 +134,8 @@ def _train_step(
     pose = recipe.refinement.of(state.cameras, batch.source)
     (splats, prior), pull_back = jax.vjp(project_view, state.gaussians, pose)
     loss, (d_splats, d_look) = jax.value_and_grad(image_loss, argnums=(0, 1))(splats, look)
-    gradients, d_pose = pull_back((d_splats, jnp.ones_like(prior)))
-
-    # Of a bad step, the gradients count as zero and nothing moves. To choose between the old and the new
-    # scene as a whole would take a copy of all moments.
-    good = jnp.isfinite(loss)
-    gradients = jax.tree.map(lambda leaf: jnp.where(good, leaf, 0), gradients)
-    gradients = optimizer.without_locked_bands(gradients, state.step, sh_every)
-    progress = state.step / state.total
-    rates = learning_rates.at(progress, state.extent, gradients.sh.shape[1])
-    rates = jax.tree.map(lambda leaf: jnp.where(good, leaf, 0), rates)
-    gaussians, opt_state = optimizer.update(state.gaussians, gradients, state.opt_state, rates)
-    gaussians = lax.optimization_barrier(gaussians)
-    gaussians = recipe.noise(gaussians, rates.means[0, 0], state.extent, noise_key)
-    total = state.total.astype(jnp.float32)
-    learned = (
-        recipe.density.observe(state.density_state, splats, d_splats),
-        recipe.appearance.update(state.appearance, batch.source, d_look, progress),
-        recipe.refinement.update(state.cameras, batch.source, d_pose, progress, total),
-    )
-    known = state.density_state, state.appearance, state.cameras
-    density_state, appearance, cameras = jax.tree.map(partial(jnp.where, good), learned, known)
-    return replace(
-        state,
-        step=state.step + 1,
-        gaussians=gaussians,
-        opt_state=opt_state,
-        density_state=density_state,
-        appearance=appearance,
-        cameras=cameras,
-        faults=state.faults._replace(steps=state.faults.steps + ~good),
-    ), loss
+    d_gaussians, d_pose = pull_back((d_splats, jnp.ones_like(prior)))
+    return loss, splats, Gradients(d_gaussians, d_splats, d_look, d_pose)
 
 
 def photo_over(photo: UInt8[Array, "h w c"], background: Float[Array, "3"]) -> Float[Array, "h w 3"]:

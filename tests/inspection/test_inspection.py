@@ -57,6 +57,13 @@ def test_a_sound_capture_has_no_problem_but_its_few_points(capture):
     assert said(capture) == [FEW_POINTS]
 
 
+def test_one_photo_without_poses_is_too_few(capture):
+    for name in NAMES[1:]:
+        (capture / "images" / name).unlink()
+    problems = problems_of(examine(capture / "images", None))
+    assert [problem.what for problem in problems][1] == "Only 1 photo."
+
+
 @pytest.mark.parametrize(
     ("change", "what"),
     [

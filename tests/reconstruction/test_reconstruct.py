@@ -18,6 +18,7 @@ from splatax.reconstruction import diagnosis, pipeline, reconstruct, work
 from splatax.reconstruction.pairs import Exhaustive, Sequential
 
 FEW = pipeline.VERY_FEW
+CHANCE = 0.01  # of the points: a few matches come and go with the matcher's threads
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -108,11 +109,11 @@ def test_poses_that_were_found_are_kept_until_there_are_more_matches(photos, tmp
         with pytest.raises(KeyboardInterrupt):
             reconstruct(photos, out, pairing=few, watch=stop_at("writing"))
     more = reconstruct(photos, tmp_path / "more", pairing=Exhaustive())
-    assert more.points == outcome[1].points
+    assert more.points == pytest.approx(outcome[1].points, rel=CHANCE)
     monkeypatch.setattr(pipeline.mapping.pycolmap, "incremental_mapping", None)  # not needed again
     same = reconstruct(photos, tmp_path / "same", pairing=few)
     assert same.registered == more.registered
-    assert same.points != more.points
+    assert same.points != pytest.approx(more.points, rel=CHANCE)
 
 
 def test_half_a_reconstruction_is_not_gone_on_with_otherwise(photos, tmp_path):

@@ -37,7 +37,7 @@ class Create:
     budget: str = "10min"
     """Time to train for, such as 90s, 10min or 1h."""
     title: str | None = None
-    """Of the page. Without it: the name of OUT."""
+    """Of the page and the report. Without it: the name of OUT."""
     overwrite: bool = False
     """Make all anew, and replace what an earlier call has written to the same folder."""
 
@@ -51,7 +51,7 @@ class Create:
             self.train(capture, run)
             if files(run):
                 raise KeyboardInterrupt  # which training has heard, and ended well
-            Page(run, page, scene=capture, title=self.title or self.out.resolve().name, overwrite=True).run()
+            Page(run, page, scene=capture, title=self.named(), overwrite=True).run()
         print(f"open it with a double click: {page}")
 
     def refuse_what_cannot_be_made(self) -> None:
@@ -75,6 +75,10 @@ class Create:
                 f"same cameras in another folder: splatax create {capture} --out OTHER, {replacing}."
             )
 
+    def named(self) -> str:
+        """The title of what is made."""
+        return self.title or self.out.resolve().name
+
     def order(self) -> dict[str, object]:
         """What the scene is made of, as JSON values."""
         return {"photos": str(self.photos.resolve()), "seconds": parse_budget(self.budget)}
@@ -93,4 +97,4 @@ class Create:
         elif (run / "report.html").exists() and not self.overwrite:
             print(f"trained already: {run / 'scene.ply'}")
         else:
-            Train(capture, out=run, budget=self.budget, overwrite=True).run()
+            Train(capture, out=run, title=self.named(), budget=self.budget, overwrite=True).run()

@@ -10,6 +10,8 @@ from splatax.cli.train import Train
 from splatax.demo.capture import PHOTOS, SIZE, write_capture
 from splatax.errors import InputError
 
+TITLE = "splatax demo"
+
 
 @dataclass(frozen=True)
 class Demo:
@@ -36,6 +38,7 @@ class Demo:
         Train(
             capture,
             self.out,
+            title=TITLE,
             steps=self.steps,
             seed=self.seed,
             eval_every=max(self.steps // 8, 1),
@@ -47,5 +50,5 @@ class Demo:
             print(f"no page of the scene: {error}")
             return
         page = self.out / "scene.html"
-        Page(self.out, page, scene=capture, title="splatax demo", overwrite=True).run()
+        Page(self.out, page, scene=capture, title=TITLE, overwrite=True).run()
         print(f"open it with a double click: {page}")

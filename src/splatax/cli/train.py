@@ -39,7 +39,8 @@ from splatax.training.refinement import REFINEMENTS
 from splatax.viewer.server import LOCAL, PORT
 
 WATCHING = {"view", "host", "port"}
-FREE = {"scene", "resume", "repeat", "checkpoint_every", "checkpoint_steps"} | WATCHING  # may change in a run
+# What may change in a run.
+FREE = {"scene", "title", "resume", "repeat", "checkpoint_every", "checkpoint_steps"} | WATCHING
 NOT_REPEATED = {"out": None, "overwrite": False, "budget": None}  # a plan is repeated as it was made
 
 RecipeName = Literal[*RECIPES]  # type: ignore[valid-type]
@@ -59,6 +60,8 @@ class Train:
     transforms.json, or LLFF's poses_bounds.npy. Photos without poses: splatax reconstruct."""
     out: Path | None = None
     """Folder for the results. Without it: runs/NAME, with the name of the capture's folder."""
+    title: str | None = None
+    """Of the report. Without it: the name of the capture's folder."""
     budget: str | None = None
     """Train for so long, such as 30s, 5min or 1h: plans --steps and --max-gaussians by the measured speed
     of this machine, and keeps to the time by the clock. config.json then has what --repeat repeats."""
@@ -195,7 +198,7 @@ class Train:
                 dataset, recipe, checkpoints, history, changes, self.eval_every, watchers, room.photos
             )
             last = session.train(state)
-            title, options = scene.resolve().name, asdict(settled)
+            title, options = self.title or scene.resolve().name, asdict(settled)
             conclude(Run(title, dataset, recipe, history, last.gaussians, options, out))
             keep_cameras(out, dataset, recipe, last)
         if history.interrupted:

@@ -39,7 +39,7 @@ class Problem:
 
 def problems_of(found: Examination) -> list[Problem]:
     """All problems, the worst first."""
-    checks = (poses, registration, placement, errors, photos, masks, points, memory)
+    checks = (poses, number, registration, placement, errors, photos, masks, points, memory)
     problems = [problem for check in checks for problem in check(found)]
     return sorted(problems, key=lambda problem: problem.severity != "error")
 
@@ -50,6 +50,16 @@ def poses(found: Examination) -> Iterator[Problem]:
         yield Problem("error", "The photos have no poses, so nothing can be trained on them yet.", fix)
 
 
+def number(found: Examination) -> Iterator[Problem]:
+    count = len(found.photos) if found.dataset is None else len(found.views)
+    if count < FEW_VIEWS:
+        yield Problem(
+            "warning",
+            f"Only {counted(count)}.",
+            "Take 50 to 200, around the subject at two or three heights.",
+        )
+
+
 def registration(found: Examination) -> Iterator[Problem]:
     if found.dataset is None:
         return
@@ -58,12 +68,6 @@ def registration(found: Examination) -> Iterator[Problem]:
             "warning",
             f"{len(unused)} of {len(unused) + len(found.views)} photos have no pose: {listed(unused)}.",
             "Take them again with more overlap, or leave them out; the scene is not seen from there.",
-        )
-    if len(found.views) < FEW_VIEWS:
-        yield Problem(
-            "warning",
-            f"Only {counted(len(found.views))}.",
-            "Take 50 to 200, around the subject at two or three heights.",
         )
 
 

@@ -62,7 +62,10 @@ def pick_frames(path: Path, folder: Path, count: int, watch: Callable[[int, int]
                 )
                 save(folder / f"frame_{index:06}.jpg", np.ascontiguousarray(turned))
     except (av.error.FFmpegError, KeyError) as error:
-        raise DatasetError(f"{path}: the video cannot be read ({error}). Convert it to MP4.") from error
+        raise DatasetError(
+            f"{path}: the video cannot be read ({error}). Copy it from the camera again if it does not play; "
+            "if it does, convert it: ffmpeg -i VIDEO -c:v libx264 converted.mp4."
+        ) from error
 
 
 def best_of_stretches(

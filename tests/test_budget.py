@@ -9,15 +9,19 @@ from splatax.budget import (
     ROUND,
     Changes,
     Clock,
+    Cost,
     Costs,
+    coarse_size,
     mean_count,
     measured,
     parse_seconds,
     plan,
 )
 from splatax.training.recipes import Recipe
+from splatax.training.resolution import Resolution
 
-FAST, SLOW = Costs(0.010, 2e-7), Costs(0.020, 8e-7)
+FAST = Costs(Cost(0.004, 1e-7), Cost(0.010, 2e-7))
+SLOW = Costs(Cost(0.010, 5e-7), Cost(0.020, 8e-7))
 
 
 def test_times_are_read_with_their_units():
@@ -39,9 +43,9 @@ def test_a_plan_takes_the_time_that_it_is_given(costs, seconds):
     assert spent <= seconds < one_more
 
 
-def test_a_run_has_as_many_gaussians_in_the_mean_as_it_has_over_its_steps():
+def test_a_run_has_as_many_gaussians_in_the_mean_as_it_has_over_the_steps_of_its_coarse_half():
     assert mean_count(1000, 1000) == 1000
-    steps = np.linspace(0, 1, 3001)
+    steps = np.linspace(0, 0.5, 3001)
     counts = 1000 * 64 ** np.minimum(3 * steps, 1)  # by equal factors in the first third
     assert mean_count(1000, 64_000) == pytest.approx(counts.mean(), rel=0.01)
 
@@ -66,7 +70,8 @@ def test_a_run_ends_in_time_whatever_the_plan_took_the_speed_for(factor):
     total, seconds, step = 1000, 0.0, 0
     while step < total:
         step += 1
-        seconds += 0.06 * factor * (min(step / 333, 1) * 0.8 + 0.2)  # dearer while the scene grows
+        seconds += 0.04 * factor * (min(step / 333, 1) * 0.8 + 0.2)  # dearer while the scene grows
+        seconds += 0.05 * factor * (step > 500)  # and with larger photos
         if clock.due(step, total):
             clock.note(step, total, seconds)
         total = clock(step) or total
@@ -87,6 +92,14 @@ def test_changes_repeat_without_a_clock():
 
 def test_steps_of_this_machine_are_measured():
     with jax.numpy_dtype_promotion("standard"):  # as optax needs it
-        costs = measured((40, 30), Recipe(backend="xla"))
-    assert costs.base > 0
-    assert costs.each >= 0
+        costs = measured((40, 30), Recipe(backend="xla", resolution=Resolution(((1, 2),))))
+    for cost in (costs.coarse, costs.fine):
+        assert cost.base > 0
+        assert cost.each >= 0
+
+
+def test_photos_are_smaller_at_first_unless_they_would_be_too_small():
+    recipe = Recipe(resolution=Resolution(((1, 2),), smallest=100))
+    assert coarse_size((504, 378), recipe) == (252, 189)
+    assert coarse_size((270, 198), recipe) == (270, 198)
+    assert coarse_size((504, 378), Recipe()) == (504, 378)

@@ -15,7 +15,7 @@ from splatax.bench.operations import step as operation
 from splatax.bench.scenes import procedural
 from splatax.bench.timing import timed
 from splatax.training.capacity import GROWTH
-from splatax.training.recipes import GROWING, Recipe
+from splatax.training.recipes import COARSE, GROWING, Recipe
 
 PROBES = (20_000, 80_000)  # Gaussians; steps are linear in them
 ROUNDS = 5
@@ -54,13 +54,14 @@ def parse_seconds(text: str) -> float:
 
 
 def mean_count(first: int, most: int) -> float:
-    """Of the Gaussians of a run of the recipe `default`, over its steps: it grows by equal factors."""
+    """Of the Gaussians in the coarse part of a run of the recipe `default`: they grow by equal factors, and
+    then there are as many as in the rest of the run."""
     growing = (most - first) / np.log(most / first) if most > first else most
-    return float(growing + (GROWING - 1) * most) / GROWING
+    return float(growing * COARSE + most * (GROWING - COARSE)) / GROWING
 
 
 @dataclass(frozen=True)
-class Costs:
+class Cost:
     """Seconds that a step takes: so many, and so many for each Gaussian."""
 
     base: float
@@ -69,26 +70,47 @@ class Costs:
     def step(self, count: int | float) -> float:
         return self.base + self.each * count
 
+
+@dataclass(frozen=True)
+class Costs:
+    """Of steps with photos of half size, and as they are."""
+
+    coarse: Cost
+    fine: Cost
+
     def run(self, steps: int, first: int, most: int) -> float:
-        """Seconds for a run that grows to `most`."""
-        buckets = np.log(max(most / first, 1)) / np.log(GROWTH) + 1
-        return float(steps * self.step(mean_count(first, most)) + COMPILING * buckets)
+        """Seconds for a run of the recipe `default` that grows to `most`."""
+        programs = np.log(max(most / first, 1)) / np.log(GROWTH) + 2
+        coarse, fine = self.coarse.step(mean_count(first, most)), self.fine.step(most)
+        return float(steps * (coarse + (COARSE - 1) * fine) / COARSE + COMPILING * programs)
 
 
 def measured(size: tuple[int, int], recipe: Recipe) -> Costs:
-    """Times steps of two procedural scenes, a few seconds in all.
+    """Times steps of procedural scenes, a few seconds in all.
 
     Args:
         size: of the photos, width and height in pixels.
         recipe: with the backend that is to run.
     """
+    return Costs(cost_of(coarse_size(size, recipe), recipe), cost_of(size, recipe))
+
+
+def coarse_size(size: tuple[int, int], recipe: Recipe) -> tuple[int, int]:
+    """Of photos in the first steps of a recipe."""
+    divisor = recipe.resolution.divisor(1)
+    smaller = size[0] // divisor, size[1] // divisor
+    return size if min(smaller) < recipe.resolution.smallest else smaller
+
+
+def cost_of(size: tuple[int, int], recipe: Recipe) -> Cost:
+    """Of a step with photos of a size, from two procedural scenes."""
     seconds = []
     for count in PROBES:
         work = operation(procedural(count, size), recipe)
         timed(work)  # compiles
         seconds.append(min(timed(work) for _ in range(ROUNDS)) / 1e3)
     each = max((seconds[1] - seconds[0]) / (PROBES[1] - PROBES[0]), 0.0)
-    return Costs(HEAVIER * max(seconds[0] - each * PROBES[0], 1e-4), HEAVIER * each)
+    return Cost(HEAVIER * max(seconds[0] - each * PROBES[0], 1e-4), HEAVIER * each)
 
 
 @dataclass(frozen=True)
@@ -165,11 +187,11 @@ class Clock(Changes):
     def note(self, step: int, total: int, seconds: float) -> None:
         """Plans the rest of the run by the speed since the last look.
 
-        While the scene grows, steps get slower, so until then a run is only shortened, if it would be
-        late even as fast as now.
+        While the scene grows, and when photos get larger, steps get slower, so until then a run is only
+        shortened, if it would be late even as fast as now.
         """
         (before, then), self.checked = self.checked, (step, seconds)
         a_step = (seconds - then) / (step - before)
         planned = max(step + max(round((self.seconds - seconds) / a_step), 1), FEWEST_STEPS)
-        if planned < total or (planned > total and step > total / GROWING and before > total / GROWING):
+        if planned < total or (planned > total and before > total / COARSE):
             self.made.append((step, planned))

@@ -75,8 +75,8 @@ def test_absgrad_sees_pulls_that_cancel_out_for_classic():
 
 def test_rates_are_raised_for_short_runs_and_never_fall_below_the_authors():
     authors = LearningRates()
-    assert_allclose(rates_for(2000).means, 8 * authors.means)
-    assert_allclose(rates_for(8000).log_scales, 1.5 * authors.log_scales)
+    assert_allclose(rates_for(2000).means, 12 * authors.means)
+    assert_allclose(rates_for(8000).log_scales, 2.25 * authors.log_scales)
     assert rates_for(10**7) == authors
     assert rates_for(1) == rates_for(500)
 

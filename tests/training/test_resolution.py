@@ -25,6 +25,12 @@ def test_pixels_of_a_divided_photo_are_means():
     assert mask is None
 
 
+def test_photos_that_would_become_too_small_keep_their_size():
+    photo, mask = np.zeros((40, 63, 3), np.uint8), np.ones((40, 63), bool)
+    assert divided(camera_at(size=(63, 40)), photo, mask, 2, smallest=21)[1] is photo
+    assert divided(camera_at(size=(63, 40)), photo, mask, 2, smallest=20)[1].shape == (20, 31, 3)
+
+
 def test_a_divided_camera_sees_a_point_at_the_same_place_of_the_photo():
     camera = camera_at(size=(63, 40))
     smaller, _, _ = divided(camera, np.zeros((40, 63, 3), np.uint8), None, 4)

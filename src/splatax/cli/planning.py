@@ -104,7 +104,7 @@ def within(seconds: int | float, recipe: sx.Recipe, dataset: sx.Dataset, room: i
     chosen = plan(costs, seconds, recipe.initialization.number(dataset), room, most)
     print(
         f"about {chosen.steps:,} steps and {chosen.max_gaussians:,} Gaussians in {duration(seconds)}, at "
-        f"{1e3 * costs.step(chosen.max_gaussians):.0f} ms a step in the end"
+        f"{1e3 * costs.fine.step(chosen.max_gaussians):.0f} ms a step in the end"
     )
     return chosen
 

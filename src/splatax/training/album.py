@@ -17,9 +17,9 @@ class Album:
     others in their place would only have these read again.
     """
 
-    def __init__(self, views: Sequence[View], room: int | float):
-        """With room for so many bytes; infinite for all."""
-        self._views, self._room, self._left = views, room, room
+    def __init__(self, views: Sequence[View], room: int | float, smallest: int = 1):
+        """With room for so many bytes; infinite for all. For `smallest`, see `Resolution`."""
+        self._views, self._room, self._left, self._smallest = views, room, room, smallest
         self._divisor = 1
         self._kept: dict[int, Frame] = {}
 
@@ -34,7 +34,7 @@ class Album:
         if index in self._kept:
             return self._kept[index]
         view = self._views[index]
-        frame = divided(view.camera, checked(view), mask_of(view), divisor)
+        frame = divided(view.camera, checked(view), mask_of(view), divisor, self._smallest)
         size = sum(array.nbytes for array in frame[1:] if array is not None)
         if size <= self._left:
             self._kept[index] = frame

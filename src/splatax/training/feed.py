@@ -56,7 +56,7 @@ def batches(
         resolution: of each step; the first batch is for step 1.
         room: for decoded photos, bytes.
     """
-    album = Album(views, room)
+    album = Album(views, room, resolution.smallest)
     origin = sources(views)
     indices = islice(order(len(views), seed, start // len(views)), start % len(views), None)
     wanted = ((index, resolution.divisor(step)) for step, index in enumerate(indices, start + 1))

@@ -17,7 +17,11 @@ ADAM = optax.scale_by_adam(b1=0.9, b2=0.999, eps=1e-15)  # epsilon of Kerbl et a
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class LearningRates:
-    """Steps of Adam for each field (authors' code of Kerbl et al. 2023)."""
+    """Steps of Adam for each field (authors' code of Kerbl et al. 2023).
+
+    There, all but the means' stay as they are. If they fall at the end instead, Gaussians come to rest
+    where they fit all photos, not the last few.
+    """
 
     means: float = 1.6e-4  # times the scene's extent, at the start
     means_final: float = 1.6e-6  # times the scene's extent, at the end; log-linear between
@@ -26,6 +30,8 @@ class LearningRates:
     opacity_logits: float = 0.05
     log_scales: float = 5e-3
     quats: float = 1e-3
+    settled: float = 1.0  # what all but the means' end at, of the above
+    settling_from: float = 0.85  # share of the run after which they fall, log-linearly
 
     def at(self, progress: Float[Array, ""], extent: Float[Array, ""], coefficients: int) -> Gaussians:
         """Rates in the shape of a scene of one Gaussian.
@@ -36,13 +42,14 @@ class LearningRates:
             coefficients: of spherical harmonics.
         """
         means = self.means * (self.means_final / self.means) ** progress * extent
+        fall = self.settled ** jnp.clip((progress - self.settling_from) / (1 - self.settling_from), 0, 1)
         sh = jnp.full((1, coefficients, 1), self.sh_rest).at[:, 0].set(self.sh_dc)
         return Gaussians(
             jnp.full((1, 1), means),
-            jnp.full((1, 1), self.quats),
-            jnp.full((1, 1), self.log_scales),
-            jnp.full(1, self.opacity_logits),
-            sh,
+            jnp.full((1, 1), self.quats * fall),
+            jnp.full((1, 1), self.log_scales * fall),
+            jnp.full(1, self.opacity_logits * fall),
+            sh * fall,
         )
 
 

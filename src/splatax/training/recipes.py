@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from splatax.dataset import Dataset
 from splatax.losses import Photometric
@@ -67,6 +67,8 @@ def mcmc(steps: int = 30_000, max_gaussians: int = 1_000_000) -> Recipe:
 
 
 GROWING = 3  # a run of `default` has all its Gaussians after one of so many parts
+COARSE = 2  # and sees photos of half size for one of so many
+GROWN = 0.85  # share of a run after which no Gaussian is moved to another place, and all settle
 
 
 def default(steps: int = 30_000, max_gaussians: int = 1_000_000) -> Recipe:
@@ -79,22 +81,23 @@ def default(steps: int = 30_000, max_gaussians: int = 1_000_000) -> Recipe:
         steps=steps,
         initialization=FromPoints(opacity=0.5, scale=0.1),
         prior=Sparsity(),
-        learning_rates=rates_for(steps),
-        noise=Langevin(1.25e5),  # of the raised rate: at 2,000 steps, twice the noise of the authors
+        learning_rates=replace(rates_for(steps), settled=0.05, settling_from=GROWN),
+        noise=Langevin(1.25e5),  # of the raised rate: at 2,000 steps, three times the noise of the authors
         density=Mcmc(
             every=min(max(steps // 40, 10), 100),
             start=steps // 20,
-            until=steps * 85 // 100,
+            until=int(steps * GROWN),
             growth=ByStep(full=steps // GROWING),
             max_gaussians=max_gaussians,
         ),
+        resolution=Resolution(((steps // COARSE, 2),), smallest=100),
         sh_every=max(steps // 20, 1),
         background=Random(),
     )
 
 
 def rates_for(steps: int) -> LearningRates:
-    """Learning rates that suit a short run: the authors', raised by up to 8 times at 2,000 steps.
+    """Learning rates that suit a short run: the authors', raised by up to 12 times at 2,000 steps.
 
     How much they are raised falls with the square root of the number of steps, down to the authors'
     own rates, which are for 30,000. Runs of less than 500 steps learn as those of 500.
@@ -105,13 +108,13 @@ def rates_for(steps: int) -> LearningRates:
         return rate * max(by * haste, 1.0)
 
     return LearningRates(
-        means=raised(authors.means, 8.0),
-        means_final=raised(authors.means_final, 8.0),
-        sh_dc=raised(authors.sh_dc, 2.0),
-        sh_rest=raised(authors.sh_rest, 2.0),
+        means=raised(authors.means, 12.0),
+        means_final=raised(authors.means_final, 12.0),
+        sh_dc=raised(authors.sh_dc, 3.0),
+        sh_rest=raised(authors.sh_rest, 3.0),
         opacity_logits=authors.opacity_logits,
-        log_scales=raised(authors.log_scales, 3.0),
-        quats=raised(authors.quats, 4.0),
+        log_scales=raised(authors.log_scales, 4.5),
+        quats=raised(authors.quats, 6.0),
     )
 
 

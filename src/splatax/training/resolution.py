@@ -16,9 +16,11 @@ class Resolution:
 
     Attributes:
         stages: (last step, divisor), in order; after the last of them photos are as they are.
+        smallest: pixels of the shorter side that photos are not made smaller than; they keep their size.
     """
 
     stages: tuple[tuple[int, int], ...] = ()
+    smallest: int = 1
 
     def divisor(self, step: int) -> int:
         """For a step, from 1."""
@@ -26,11 +28,14 @@ class Resolution:
 
 
 def divided(
-    camera: Camera, photo: Pixels, mask: Mask | None, divisor: int
+    camera: Camera, photo: Pixels, mask: Mask | None, divisor: int, smallest: int = 1
 ) -> tuple[Camera, Pixels, Mask | None]:
-    """A view with so many times fewer pixels a side, at least one. What a mask leaves out counts for none."""
-    if divisor == 1:
+    """A view with so many times fewer pixels a side, or as it is if that is fewer than the smallest.
+
+    What a mask leaves out counts for no new pixel.
+    """
+    size = camera.width // divisor, camera.height // divisor
+    if divisor == 1 or min(size) < smallest:
         return camera, photo, mask
-    size = max(camera.width // divisor, 1), max(camera.height // divisor, 1)
     smaller = None if mask is None else resize_mask(mask, *size, above=ALL)
     return camera.resized(*size), resize(photo, *size), smaller

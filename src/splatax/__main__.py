@@ -1,0 +1,6 @@
+"""`python -m splatax`, for where the command is not on the path."""
+
+from splatax.cli import main
+
+if __name__ == "__main__":
+    main()

@@ -97,9 +97,8 @@ def measured(size: tuple[int, int], recipe: Recipe) -> Costs:
 
 def coarse_size(size: tuple[int, int], recipe: Recipe) -> tuple[int, int]:
     """Of photos in the first steps of a recipe."""
-    divisor = recipe.resolution.divisor(1)
-    smaller = size[0] // divisor, size[1] // divisor
-    return size if min(smaller) < recipe.resolution.smallest else smaller
+    divisor = recipe.resolution.divisor(1, size)
+    return size[0] // divisor, size[1] // divisor
 
 
 def cost_of(size: tuple[int, int], recipe: Recipe) -> Cost:

@@ -41,6 +41,15 @@ def test_photos_that_fit_are_decoded_once_and_the_others_each_time(photos, kept)
     assert sorted(times.values()) == sorted([1] * min(kept, len(views)) + [3] * max(len(views) - kept, 0))
 
 
+def test_photos_of_a_size_that_is_wanted_no_more_make_room():
+    views = capture().train
+    album = Album(views, room=3 * views[0].camera.width * views[0].camera.height)
+    small = album.frame(0, 2)
+    assert album.frame(0, 2) is small
+    whole = album.frame(0, 1)
+    assert album.frame(0, 1) is whole  # there is room for it alone
+
+
 @pytest.mark.parametrize("resolution", [Resolution(), Resolution(((4, 2),))])
 def test_batches_are_the_same_with_and_without_room(resolution):
     views = capture().train

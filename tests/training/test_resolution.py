@@ -1,5 +1,6 @@
 """Photos that are smaller at first."""
 
+from dataclasses import replace
 from itertools import islice
 
 import jax.numpy as jnp
@@ -8,13 +9,17 @@ import pytest
 
 from scenes import camera_at
 from splatax.dataset import View
-from splatax.training.feed import batches
+from splatax.training.feed import Batch, batches
+from splatax.training.initialize import FromPoints
+from splatax.training.loop import first_state
 from splatax.training.resolution import Resolution, divided
+from splatax.training.step import compare
+from training.test_training import RECIPE, capture
 
 
 def test_stages_end_with_their_last_step():
     resolution = Resolution(((2, 4), (3, 2)))
-    assert [resolution.divisor(step) for step in range(1, 6)] == [4, 4, 2, 1, 1]
+    assert [resolution.divisor(step, (6, 4)) for step in range(1, 6)] == [4, 4, 2, 1, 1]
 
 
 def test_pixels_of_a_divided_photo_are_means():
@@ -26,9 +31,25 @@ def test_pixels_of_a_divided_photo_are_means():
 
 
 def test_photos_that_would_become_too_small_keep_their_size():
-    photo, mask = np.zeros((40, 63, 3), np.uint8), np.ones((40, 63), bool)
-    assert divided(camera_at(size=(63, 40)), photo, mask, 2, smallest=21)[1] is photo
-    assert divided(camera_at(size=(63, 40)), photo, mask, 2, smallest=20)[1].shape == (20, 31, 3)
+    assert Resolution(((9, 2),), smallest=21).divisor(1, (63, 40)) == 1
+    assert Resolution(((9, 2),), smallest=20).divisor(1, (63, 40)) == 2
+    assert Resolution(((9, 2),)).divisor(1, (63, 1)) == 1
+
+
+def test_the_low_pass_filter_is_of_pixels_of_the_whole_photo():
+    dataset = capture()
+    gaussians = FromPoints()(dataset, 1, 0)
+    state = first_state(gaussians, RECIPE, 1.0, len(dataset.train))
+    view = dataset.train[0]
+    photo = jnp.asarray(view.pixels())
+    low_pass = replace(RECIPE.low_pass, variance=4 * RECIPE.low_pass.variance)
+    losses = [
+        compare(
+            state, Batch(view.camera, photo, divisor=divisor), replace(recipe, backend="xla"), jnp.zeros(3)
+        )[0]
+        for divisor, recipe in ((1, RECIPE), (2, replace(RECIPE, low_pass=low_pass)), (2, RECIPE))
+    ]
+    assert losses[0] == losses[1] != losses[2]
 
 
 def test_a_divided_camera_sees_a_point_at_the_same_place_of_the_photo():

@@ -17,29 +17,34 @@ class Album:
     others in their place would only have these read again.
     """
 
-    def __init__(self, views: Sequence[View], room: int | float, smallest: int = 1):
-        """With room for so many bytes; infinite for all. For `smallest`, see `Resolution`."""
-        self._views, self._room, self._left, self._smallest = views, room, room, smallest
-        self._divisor = 1
-        self._kept: dict[int, Frame] = {}
+    def __init__(self, views: Sequence[View], room: int | float):
+        """With room for so many bytes; infinite for all."""
+        self._views, self._left = views, room
+        self._kept: dict[int, tuple[int, Frame]] = {}
 
     def frame(self, index: int, divisor: int) -> Frame:
-        """A view, with so many times fewer pixels a side. Those of another divisor are kept no longer.
+        """A view, with so many times fewer pixels a side. With another divisor it is kept no longer.
 
         Raises:
             DatasetError: if the photo or its mask is not of the camera's size.
         """
-        if divisor != self._divisor:
-            self._kept, self._left, self._divisor = {}, self._room, divisor
         if index in self._kept:
-            return self._kept[index]
+            kept, frame = self._kept[index]
+            if kept == divisor:
+                return frame
+            del self._kept[index]
+            self._left += size_of(frame)
         view = self._views[index]
-        frame = divided(view.camera, checked(view), mask_of(view), divisor, self._smallest)
-        size = sum(array.nbytes for array in frame[1:] if array is not None)
-        if size <= self._left:
-            self._kept[index] = frame
-            self._left -= size
+        frame = divided(view.camera, checked(view), mask_of(view), divisor)
+        if size_of(frame) <= self._left:
+            self._kept[index] = divisor, frame
+            self._left -= size_of(frame)
         return frame
+
+
+def size_of(frame: Frame) -> int:
+    """Bytes of a photo and its mask."""
+    return sum(array.nbytes for array in frame[1:] if array is not None)
 
 
 def checked(view: View) -> Pixels:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import count, islice
 from typing import NamedTuple
 
@@ -31,13 +31,14 @@ FIRST = Source(np.int32(0), np.int32(0))
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Batch:
-    """One view: its camera, its photo as 8-bit RGB or RGBA, which pixels count (None: all), and which
-    of the training views it is."""
+    """One view: its camera, its photo as 8-bit RGB or RGBA, which pixels count (None: all), which of the
+    training views it is, and by what its size was divided."""
 
     camera: Camera
     photo: UInt8[Array, "h w c"]
     mask: Bool[Array, "h w"] | None = None
     source: Source = FIRST
+    divisor: int = field(default=1, metadata={"static": True})
 
 
 def batches(
@@ -56,23 +57,26 @@ def batches(
         resolution: of each step; the first batch is for step 1.
         room: for decoded photos, bytes.
     """
-    album = Album(views, room, resolution.smallest)
+    album = Album(views, room)
     origin = sources(views)
     indices = islice(order(len(views), seed, start // len(views)), start % len(views), None)
-    wanted = ((index, resolution.divisor(step)) for step, index in enumerate(indices, start + 1))
+    sizes = [(view.camera.width, view.camera.height) for view in views]
+    wanted = (
+        (index, resolution.divisor(step, sizes[index])) for step, index in enumerate(indices, start + 1)
+    )
     with ThreadPoolExecutor(1) as reader:
         index, divisor = next(wanted)
         coming = reader.submit(album.frame, index, divisor)
         while True:
-            here, frame = index, coming.result()
+            frame, here = coming.result(), (origin[index], divisor)
             index, divisor = next(wanted)
             coming = reader.submit(album.frame, index, divisor)
-            yield batch(*frame, origin[here])
+            yield batch(*frame, *here)
 
 
-def batch(camera: Camera, photo: Pixels, mask: Mask | None, source: Source) -> Batch:
+def batch(camera: Camera, photo: Pixels, mask: Mask | None, source: Source, divisor: int) -> Batch:
     """A view on the device."""
-    return Batch(camera, jnp.asarray(photo), None if mask is None else jnp.asarray(mask), source)
+    return Batch(camera, jnp.asarray(photo), None if mask is None else jnp.asarray(mask), source, divisor)
 
 
 def sources(views: Sequence[View]) -> list[Source]:

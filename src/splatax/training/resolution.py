@@ -22,20 +22,18 @@ class Resolution:
     stages: tuple[tuple[int, int], ...] = ()
     smallest: int = 1
 
-    def divisor(self, step: int) -> int:
-        """For a step, from 1."""
-        return next((divisor for last, divisor in self.stages if step <= last), 1)
+    def divisor(self, step: int, size: tuple[int, int]) -> int:
+        """For a photo of a size in a step, from 1."""
+        divisor = next((divisor for last, divisor in self.stages if step <= last), 1)
+        return divisor if min(size) // divisor >= self.smallest else 1
 
 
 def divided(
-    camera: Camera, photo: Pixels, mask: Mask | None, divisor: int, smallest: int = 1
+    camera: Camera, photo: Pixels, mask: Mask | None, divisor: int
 ) -> tuple[Camera, Pixels, Mask | None]:
-    """A view with so many times fewer pixels a side, or as it is if that is fewer than the smallest.
-
-    What a mask leaves out counts for no new pixel.
-    """
-    size = camera.width // divisor, camera.height // divisor
-    if divisor == 1 or min(size) < smallest:
+    """A view with so many times fewer pixels a side. What a mask leaves out counts for no new pixel."""
+    if divisor == 1:
         return camera, photo, mask
+    size = camera.width // divisor, camera.height // divisor
     smaller = None if mask is None else resize_mask(mask, *size, above=ALL)
     return camera.resized(*size), resize(photo, *size), smaller

@@ -125,9 +125,12 @@ def compare(
         image = over(recipe.appearance(look, sums, alpha), alpha, background)
         return recipe.loss(image, photo, batch.mask, backend=recipe.backend)
 
+    # Of pixels of the whole photo, so that a smaller one teaches a scene that is sharp on the whole one.
+    low_pass = replace(recipe.low_pass, variance=recipe.low_pass.variance / batch.divisor**2)
+
     def project_view(gaussians, pose):
         camera = recipe.refinement(pose, batch.camera, state.extent)
-        splats = project(gaussians, camera, low_pass=recipe.low_pass, backend=recipe.backend)
+        splats = project(gaussians, camera, low_pass=low_pass, backend=recipe.backend)
         return recipe.density.watch(splats), recipe.prior(gaussians, state.extent)
 
     look = recipe.appearance.of(state.appearance, batch.source)

@@ -87,6 +87,13 @@ def test_what_lies_outside_the_mask_changes_neither_loss_nor_gradient():
         assert_array_equal(other_gradient, gradient)
 
 
+def test_a_photo_of_which_nothing_counts_teaches_nothing():
+    image, photo = pictures()
+    value, gradient = jax.value_and_grad(losses.Photometric())(image, photo, jnp.zeros(image.shape[:2], bool))
+    assert value == 0
+    assert_array_equal(gradient, 0)
+
+
 def test_masked_l1_is_the_mean_over_the_pixels_that_count():
     image, photo = pictures()
     mask = ragged()

@@ -36,12 +36,13 @@ class Photometric:
         """The loss; differentiable in `image` alone. A backend that has its own `photometric` uses that.
 
         With a mask, true where pixels count, both pictures are zero outside it, as they are beyond the
-        border: what they show there changes nothing. The mean is over the pixels that count.
+        border: what they show there changes nothing. The mean is over the pixels that count,
+        and zero if none does.
         """
         if mask is not None:
             image, photo = (jnp.where(mask[..., None], picture, 0) for picture in (image, photo))
             share = jnp.mean(mask, dtype=image.dtype)
-            return self(image, photo, backend=backend) / share
+            return self(image, photo, backend=backend) / jnp.maximum(share, 1 / mask.size)
         implementation = rasterizers.implementation(rasterizers.resolve(backend, image.dtype))
         if hasattr(implementation, "photometric"):
             return implementation.photometric(image, photo, self.ssim_weight)

@@ -17,7 +17,7 @@ LAYERS = (  # lowest first; a package stands for all its modules
     {"training", "evaluation", "editing"},
     {"report", "demo", "bench", "budget", "reconstruction", "inspection", "notebook", "web"},
     {"viewer"},
-    {"cli"},
+    {"cli", "__main__"},
 )
 NEVER = {
     ("training", "io"),

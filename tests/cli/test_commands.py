@@ -1,6 +1,8 @@
 """The commands on a tiny capture: what they write, and that they agree with each other."""
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -147,3 +149,9 @@ def test_bench_times_every_operation_of_every_backend(tmp_path, capsys):
     assert all(0 < row["minimum"] <= row["median"] for row in times.values())
     assert "300 procedural" in capsys.readouterr().out
     assert Image.open(out / "bench.png").width > 100
+
+
+def test_python_m_splatax_is_the_command():
+    done = subprocess.run([sys.executable, "-m", "splatax", "--help"], capture_output=True, text=True)
+    assert done.returncode == 0
+    assert done.stdout.startswith("usage: splatax ")

@@ -50,8 +50,8 @@ def rotations(q):
     ], axis=1).reshape(-1, 3, 3)  # fmt: skip
 
 
-def draw(scene, pose, k, width, height):
-    """An image (height, width, 3) over black."""
+def project(scene, pose, k, width, height):
+    """Means (n, 2), covariances (n, 2, 2), depths (n,), opacities (n,) and colours (n, 3) in an image."""
 
     def columns(*names):
         return np.stack([scene[name] for name in names], axis=1)
@@ -77,10 +77,17 @@ def draw(scene, pose, k, width, height):
     jacobian = np.stack([fx / z, zero, -fx * sx / z, zero, fy / z, -fy * sy / z], axis=1).reshape(-1, 2, 3)
     flat = jacobian @ axes
     covariances = flat @ flat.transpose(0, 2, 1) + 0.3 * np.eye(2)
-    u, v = fx * x / z + k[0, 2], fy * y / z + k[1, 2]
+    means2d = np.stack([fx * x / z + k[0, 2], fy * y / z + k[1, 2]], axis=1)
+    return means2d, covariances, z, opacities, colors
+
+
+def draw(means, covariances, depths, opacities, colors, size):
+    """An image (height, width, 3) over black."""
+    width, height = size
     image, left = np.zeros((height, width, 3)), np.ones((height, width))
-    for i in np.argsort(z, kind="stable"):
-        if z[i] < 0.01 or opacities[i] < 1 / 255:
+    u, v = means.T
+    for i in np.argsort(depths, kind="stable"):
+        if depths[i] < 0.01 or opacities[i] < 1 / 255:
             continue
         reach = np.sqrt(2 * np.log(255 * opacities[i]) * np.diag(covariances[i]))
         x0, x1 = max(int(u[i] - reach[0]), 0), min(int(u[i] + reach[0]) + 2, width)
@@ -106,8 +113,9 @@ def main(capture, path):
         assert camera.model.name in ("PINHOLE", "SIMPLE_PINHOLE"), "undistort the photos first"
         photo = np.asarray(Image.open(capture / "images" / image.name).convert("RGB"), np.float64)
         pose = image.cam_from_world()
-        drawn = draw(scene, pose.matrix(), camera.calibration_matrix(), camera.width, camera.height)
-        drawn = np.round(drawn.clip(0, 1) * 255)
+        size = camera.width, camera.height
+        splats = project(scene, pose.matrix(), camera.calibration_matrix(), *size)
+        drawn = np.round(draw(*splats, size).clip(0, 1) * 255)
         scores.append(20 * np.log10(255 / np.sqrt(np.mean((drawn - photo) ** 2))))
         print(f"{image.name}  {scores[-1]:.2f} dB", flush=True)
     print(f"mean  {np.mean(scores):.2f} dB")

@@ -92,7 +92,8 @@ def measured(size: tuple[int, int], recipe: Recipe) -> Costs:
         size: of the photos, width and height in pixels.
         recipe: with the backend that is to run.
     """
-    return Costs(cost_of(coarse_size(size, recipe), recipe), cost_of(size, recipe))
+    fine, smaller = cost_of(size, recipe), coarse_size(size, recipe)
+    return Costs(fine if smaller == size else cost_of(smaller, recipe), fine)
 
 
 def coarse_size(size: tuple[int, int], recipe: Recipe) -> tuple[int, int]:

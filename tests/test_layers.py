@@ -9,7 +9,7 @@ import splatax
 
 ROOT = Path(splatax.__file__).parent
 LAYERS = (  # lowest first; a package stands for all its modules
-    {"math", "errors"},
+    {"math", "errors", "shapes"},
     {"gaussians", "splats", "camera", "dataset", "forecast", "resampling", "similarity"},
     {"native"},
     {"projection", "rasterizers", "losses", "metrics", "lpips", "io"},

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from splatax.math import ellipsoids, harmonics
+from splatax.shapes import check_arrays
 
 
 @jax.tree_util.register_dataclass
@@ -54,3 +55,25 @@ class Gaussians:
     def sh_degree(self) -> int:
         """Degree of the spherical harmonics, 0 to 4."""
         return harmonics.degree_of(self.sh.shape[1])
+
+
+def checked(gaussians: Gaussians) -> Gaussians:
+    """Returns the Gaussians if their arrays fit together. Readers end in it, and so does the renderer's door.
+
+    It looks at shapes and dtypes alone, so it works on traced arrays. Values need not be finite.
+
+    Raises:
+        ValueError: if a shape or dtype is wrong, or no SH degree from 0 to 4 has this many coefficients.
+    """
+    sizes = check_arrays(
+        "Gaussians",
+        {
+            "means": (gaussians.means, "n 3"),
+            "quats": (gaussians.quats, "n 4"),
+            "log_scales": (gaussians.log_scales, "n 3"),
+            "opacity_logits": (gaussians.opacity_logits, "n"),
+            "sh": (gaussians.sh, "n k 3"),
+        },
+    )
+    harmonics.degree_of(sizes["k"])
+    return gaussians

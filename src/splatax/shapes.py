@@ -1,0 +1,101 @@
+"""Checks the shapes and dtypes of arrays where they enter the library, at trace time.
+
+Shapes are written as jaxtyping writes them: "n 3" is any number of rows of three, and a letter stands
+for one number in all arrays of a call. Native code relies on these checks, and makes them again.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import numpy as np
+
+COMPUTED_IN = ("float32", "float64")
+
+
+def check_arrays(owner: str, arrays: Mapping[str, tuple[Any, str]], **sizes: int) -> dict[str, int]:
+    """Checks that arrays have the shapes they should have, and one floating-point dtype.
+
+    Args:
+        owner: what the arrays belong to, for the message: "Gaussians".
+        arrays: name -> (array, shape in words). The first array that has a letter in its shape decides
+            what the letter stands for in the others.
+        sizes: letters that stand for a known number already.
+
+    Returns:
+        What each letter stands for.
+
+    Raises:
+        ValueError: if one does not fit. The message names the array, its shape and the one it should have.
+    """
+    found = {name: (_shape(owner, name, array), words.split()) for name, (array, words) in arrays.items()}
+    axes = {len(shape) - len(words) for shape, words in found.values()}
+    if axes == {1} and len({shape[0] for shape, _ in found.values()}) == 1:
+        raise ValueError(
+            f"{owner}: every array has one axis more than it should have, such as {_example(found)}. This takes "
+            "one at a time: use jax.vmap for a batch."
+        )
+    sizes, bound_by = dict(sizes), {}
+    for name, (shape, words) in found.items():
+        for word in words[: len(shape)]:
+            if not word.isdigit() and word not in sizes and len(shape) == len(words):
+                sizes[word] = shape[words.index(word)]
+                bound_by[word] = name
+        wanted = tuple(int(word) if word.isdigit() else sizes.get(word, word) for word in words)
+        if shape != wanted:
+            raise ValueError(_mismatch(owner, name, shape, words, bound_by, sizes))
+    check_dtypes(owner, {name: array for name, (array, _) in arrays.items()})
+    return sizes
+
+
+def check_dtypes(owner: str, arrays: Mapping[str, Any]) -> np.dtype:
+    """Checks that arrays are all float32, or all float64, and returns that dtype.
+
+    Raises:
+        ValueError: if one is of another kind, or two differ.
+    """
+    first: tuple[str, np.dtype] | None = None
+    for name, array in arrays.items():
+        dtype = jax.dtypes.canonicalize_dtype(array.dtype)
+        if dtype.name not in COMPUTED_IN:
+            raise ValueError(
+                f"{owner}: {name} is {dtype.name}, and splatax computes in float32 or float64. Convert it: "
+                f"{name}.astype(jnp.float32)."
+            )
+        if first is not None and dtype != first[1]:
+            raise ValueError(
+                f"{owner}: {name} is {dtype.name}, but {first[0]} is {first[1].name}. Give all arrays one dtype."
+            )
+        first = first or (name, dtype)
+    assert first is not None
+    return first[1]
+
+
+def _shape(owner: str, name: str, array: Any) -> tuple[int, ...]:
+    if not isinstance(array, jax.Array | np.ndarray | np.generic | jax.ShapeDtypeStruct):
+        raise ValueError(
+            f"{owner}: {name} is {type(array).__name__}, not an array. Convert it: jnp.asarray({name})."
+        )
+    return tuple(array.shape)
+
+
+def _mismatch(
+    owner: str,
+    name: str,
+    shape: tuple[int, ...],
+    words: list[str],
+    bound_by: Mapping[str, str],
+    sizes: Mapping[str, int],
+) -> str:
+    wanted = "(" + ", ".join(words) + ("," if len(words) == 1 else "") + ")"
+    letters = [word for word in words if not word.isdigit() and word in sizes]
+    known = ", ".join(
+        f"{word} is {sizes[word]}" + (f" in {bound_by[word]}" if word in bound_by else "") for word in letters
+    )
+    where = f", where {known}" if known else ""
+    return f"{owner}: {name} has shape {shape}, but it must have shape {wanted}{where}."
+
+
+def _example(found: Mapping[str, tuple[tuple[int, ...], list[str]]]) -> str:
+    name, (shape, words) = next(iter(found.items()))
+    return f"{name} of shape {shape} instead of ({', '.join(words)})"

@@ -30,7 +30,7 @@ sanitize: $(READY)  ## runs the tests of the native library under the address an
 	LD_PRELOAD="$$($(CXX) -print-file-name=libasan.so) $$($(CXX) -print-file-name=libubsan.so) $$($(CXX) -print-file-name=libstdc++.so)" \
 	  ASAN_OPTIONS=detect_leaks=0:malloc_context_size=1:quarantine_size_mb=16 \
 	  JAX_DISABLE_MOST_OPTIMIZATIONS=1 SPLATAX_NATIVE=$(abspath $(SANITIZED)) \
-	  $(BIN)/python -m pytest tests/contracts tests/rasterizers tests/bench --numprocesses auto --dist worksteal \
+	  $(BIN)/python -m pytest tests/contracts tests/backends tests/bench --numprocesses auto --dist worksteal \
 	    -k "(test_cpu or cpu-avx512 or cpu-baseline or drawn_slots or peak) and not low_pass1" -m "not slow"
 
 bench: $(READY)  ## times the renderer and writes runs/bench

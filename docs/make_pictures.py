@@ -17,8 +17,8 @@ from matplotlib.figure import Figure
 from PIL import Image, ImageSequence
 
 import splatax as sx
+from splatax.backends.portable.binning import TILE, Cursor, Grid, bin_round, tile_boxes
 from splatax.evaluation import photo_of, picture
-from splatax.rasterizers.xla.binning import TILE, Cursor, Grid, bin_round, tile_boxes
 from splatax.report.pictures import depth_map
 from splatax.training.initialize import FromPoints, InFrusta
 

@@ -14,20 +14,19 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import splatax as sx
-from splatax import native
+from splatax.backends import cpu
 from splatax.bench.scenes import procedural
 from splatax.bench.timing import interleaved
 from splatax.cli.platform import keep_freed_memory
-from splatax.rasterizers.cpu import Native
 
 COUNTS = (10_000, 30_000, 100_000, 300_000, 1_000_000)
 SIZES = ((252, 189), (504, 378), (1008, 756), (2016, 1512))
 SIZE, COUNT, ROUNDS = (504, 378), 150_000, 15
 
 
-def gradient(count: int, size: tuple[int, int], threads: int = native.ALL_THREADS):
+def gradient(count: int, size: tuple[int, int], threads: int = cpu.ALL_THREADS):
     """Forward and backward of the rasterizer."""
-    scene, rasterizer = procedural(count, size), Native(threads=threads)
+    scene, rasterizer = procedural(count, size), cpu.kernels(threads=threads)
     splats = sx.project(scene.gaussians, scene.camera)
 
     @jax.jit

@@ -20,9 +20,9 @@ def _register_unchecked(record):
 jax.tree_util.register_dataclass = _register_unchecked
 install_import_hook("splatax", "beartype.beartype")
 if "SPLATAX_NATIVE" in os.environ:  # another build of the native library: `make sanitize`
-    from splatax import native
+    from splatax.backends.cpu import library
 
-    native.FOLDER = Path(os.environ["SPLATAX_NATIVE"])
+    library.FOLDER = Path(os.environ["SPLATAX_NATIVE"])
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 

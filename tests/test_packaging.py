@@ -45,7 +45,7 @@ def build_wheel(folder, **environment) -> Path:
 
 
 def libraries_in(wheel) -> list[str]:
-    return [name for name in zipfile.ZipFile(wheel).namelist() if name.startswith("splatax/native/lib")]
+    return [name for name in zipfile.ZipFile(wheel).namelist() if name.startswith("splatax/backends/cpu/lib")]
 
 
 @pytest.mark.skipif(shutil.which("c++") is None, reason="no C++ compiler to build the wheel with")

@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from scenes import camera_at, random_gaussians
 from splatax.math import quaternions
-from splatax.projection import Antialiasing, Dilation, project
-from splatax.rendering import render
+from splatax.projection import Antialiasing, Dilation
+from splatax.rendering import project, render
 
 LOW_PASSES = [Dilation(), Antialiasing()]
 

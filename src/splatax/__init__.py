@@ -17,11 +17,11 @@ from splatax.io.formats import save as save
 from splatax.notebook import view as view
 from splatax.projection import Antialiasing as Antialiasing
 from splatax.projection import Dilation as Dilation
-from splatax.projection import project as project
-from splatax.rasterizers import composite as composite
 from splatax.rendering import BLACK as BLACK
 from splatax.rendering import WHITE as WHITE
 from splatax.rendering import Rendering as Rendering
+from splatax.rendering import composite as composite
+from splatax.rendering import project as project
 from splatax.rendering import rasterize as rasterize
 from splatax.rendering import render as render
 from splatax.splats import Splats as Splats

@@ -6,6 +6,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from splatax.shapes import check_arrays, check_size
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
@@ -88,3 +90,18 @@ def look_at(
     rotation = jnp.stack([right, jnp.cross(forward, right), forward])
     top = jnp.concatenate([rotation, -(rotation @ position)[:, None]], axis=1)
     return jnp.concatenate([top, jnp.array([[0, 0, 0, 1]], top.dtype)])
+
+
+def checked(camera: Camera) -> Camera:
+    """Returns the camera if it is one camera whose numbers have one dtype.
+
+    It looks at shapes and dtypes alone, so it works on traced arrays.
+
+    Raises:
+        ValueError: if a shape or dtype is wrong, or the image has no size. Stacked cameras are refused too:
+            use `jax.vmap`.
+    """
+    numbers = {name: (getattr(camera, name), "") for name in ("fx", "fy", "cx", "cy")}
+    check_arrays("Camera", {**numbers, "cam_from_world": (camera.cam_from_world, "4 4")})
+    check_size("Camera", camera.width, camera.height)
+    return camera

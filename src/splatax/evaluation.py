@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, UInt8
 
-from splatax import metrics, rasterizers
+from splatax import backends, metrics
+from splatax.backends.protocol import Kernels
 from splatax.camera import Camera
 from splatax.dataset import View, mask_of
 from splatax.errors import DatasetError, InputError
@@ -82,7 +83,7 @@ def evaluate(
     *,
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
     low_pass: LowPass = Dilation(),
-    backend: str = rasterizers.AUTO,
+    backend: str | Kernels = backends.AUTO,
     lpips: Lpips | None = None,
 ) -> Scores:
     """Renders each view and compares it with its photo, where its mask lets it count.
@@ -136,7 +137,7 @@ def picture(
     *,
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
     low_pass: LowPass = Dilation(),
-    backend: str = rasterizers.AUTO,
+    backend: str | Kernels = backends.AUTO,
 ) -> UInt8[np.ndarray, "h w 3"]:
     """Renders a view to 8-bit RGB."""
     rgb = render(

@@ -1,5 +1,6 @@
-"""What training minimizes: (1 - w) L1 + w (1 - SSIM)               (Kerbl et al. 2023, Eq. 7)."""
+"""The photometric loss, (1 - w) L1 + w (1 - SSIM)               (Kerbl et al. 2023, Eq. 7)."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import jax
@@ -8,7 +9,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from splatax import rasterizers
+from splatax.shapes import check_arrays
 
 WINDOW = 11  # pixels; Gaussian, as in Wang et al. 2004
 SIGMA = 1.5  # pixels
@@ -19,42 +20,56 @@ KERNEL = np.exp(-(_offsets**2) / (2 * SIGMA**2))
 KERNEL = KERNEL / KERNEL.sum()
 
 
+def photometric(
+    image: Float[Array, "h w c"], photo: Float[Array, "h w c"], ssim_weight: float
+) -> Float[Array, ""]:
+    """Computes (1 - ssim_weight) L1 + ssim_weight (1 - SSIM); differentiable in `image` alone."""
+    image, photo = lax.optimization_barrier((image, photo))  # else XLA computes them in every window
+    error = image - photo
+    l1 = jnp.mean(jnp.abs(jnp.where(error == 0, 0, error)))  # JAX's d|x|/dx is 1 at 0, not 0
+    return (1 - ssim_weight) * l1 + ssim_weight * (1 - ssim(image, photo))
+
+
 @dataclass(frozen=True)
 class Photometric:
     """L1 and D-SSIM between a rendering and a photo."""
 
-    ssim_weight: float = 0.2  # share of D-SSIM; the rest is L1
+    ssim_weight: float = 0.2  # of D-SSIM; L1 has the rest
 
     def __call__(
         self,
         image: Float[Array, "h w 3"],
         photo: Float[Array, "h w 3"],
         mask: Bool[Array, "h w"] | None = None,
-        *,
-        backend: str = rasterizers.AUTO,
+        kernel: Callable[..., Float[Array, ""]] = photometric,
     ) -> Float[Array, ""]:
-        """The loss; differentiable in `image` alone. A backend that has its own `photometric` uses that.
+        """Computes the loss; differentiable in `image` alone.
 
-        With a mask, true where pixels count, both pictures are zero outside it, as they are beyond the
-        border: what they show there changes nothing. The mean is over the pixels that count,
-        and zero if none does.
+        With a mask, both pictures are zero outside it, as they are beyond the border: what they show there
+        changes nothing. The mean is over the pixels that count, and zero if none does.
+
+        Args:
+            image: in [0, 1] where it is to resemble the photo.
+            photo: in [0, 1].
+            mask: true where pixels count; None if all do.
+            kernel: computes what `photometric` does; that of a backend, in training.
+
+        Raises:
+            ValueError: if the shapes or dtypes of the pictures differ.
         """
-        if mask is not None:
-            image, photo = (jnp.where(mask[..., None], picture, 0) for picture in (image, photo))
-            share = jnp.mean(mask, dtype=image.dtype)
-            return self(image, photo, backend=backend) / jnp.maximum(share, 1 / mask.size)
-        implementation = rasterizers.implementation(rasterizers.resolve(backend, image.dtype))
-        if hasattr(implementation, "photometric"):
-            return implementation.photometric(image, photo, self.ssim_weight)
-        image, photo = lax.optimization_barrier((image, photo))  # else XLA computes them in every window
-        error = image - photo
-        l1 = jnp.mean(jnp.abs(jnp.where(error == 0, 0, error)))  # JAX's d|x|/dx is 1 at 0, not 0
-        return (1 - self.ssim_weight) * l1 + self.ssim_weight * (1 - ssim(image, photo))
+        sizes = check_arrays("the loss", {"image": (image, "h w 3"), "photo": (photo, "h w 3")})
+        if mask is None:
+            return kernel(image, photo, self.ssim_weight)
+        if mask.shape != (sizes["h"], sizes["w"]):
+            raise ValueError(f"the loss: mask has shape {mask.shape}, but the image is {image.shape}.")
+        image, photo = (jnp.where(mask[..., None], picture, 0) for picture in (image, photo))
+        coverage = jnp.mean(mask, dtype=image.dtype)
+        return kernel(image, photo, self.ssim_weight) / jnp.maximum(coverage, 1 / mask.size)
 
 
 @jax.custom_vjp
 def ssim(image: Float[Array, "h w c"], photo: Float[Array, "h w c"]) -> Float[Array, ""]:
-    """Mean structural similarity, with zeros beyond the border as in the authors' code.
+    """Returns the mean structural similarity, with zeros beyond the border as in the authors' code.
 
     For values in [0, 1] and an 11 x 11 window. Differentiable in `image` alone: `photo` gets a
     zero gradient. Evaluation uses `metrics.ssim`, which leaves out the border.
@@ -68,7 +83,7 @@ def _forward(image, photo):
 
 
 def _backward(residuals, cotangent):
-    """The window is symmetric and padded by zeros, so blurring is its own adjoint:
+    """Returns the gradients. The window is symmetric and padded by zeros, so blurring is its own adjoint:
 
     dS/dx = blur(dS/d mu) + 2 x blur(dS/d x2) + y blur(dS/d xy)  for moments mu, x2, xy of blur.
     """
@@ -84,13 +99,13 @@ ssim.defvjp(_forward, _backward)
 
 
 def _moments(image: Float[Array, "h w c"], photo: Float[Array, "h w c"]):
-    """Blurred x, x^2, x y, y, y^2, channels first: what differs in x comes first."""
+    """Returns blurred x, x^2, x y, y and y^2, channels first; those that depend on x are the first three."""
     x, y = jnp.moveaxis(image, -1, 0), jnp.moveaxis(photo, -1, 0)
     return tuple(blur(jnp.stack([x, x * x, x * y, y, y * y])))
 
 
 def _similarity(moments) -> Float[Array, "c h w"]:
-    """Wang et al. 2004, Eq. 13, at every pixel."""
+    """Returns SSIM at every pixel (Wang et al. 2004, Eq. 13)."""
     mean_x, square_x, product, mean_y, square_y = moments
     variances = square_x - mean_x * mean_x + square_y - mean_y * mean_y
     covariance = product - mean_x * mean_y
@@ -99,7 +114,7 @@ def _similarity(moments) -> Float[Array, "c h w"]:
 
 
 def blur(planes: Float[Array, "k c h w"]) -> Float[Array, "k c h w"]:
-    """Gaussian window over the last two axes, zeros beyond the border.
+    """Applies a Gaussian window over the last two axes, with zeros beyond the border.
 
     Eleven shifted additions per axis of a padded array that XLA must not fold into them (the
     barriers): five times faster on CPU than without, fifty times faster than a convolution.

@@ -7,14 +7,12 @@ W is the camera's rotation and J the Jacobian of the perspective at the mean. Th
 """
 
 from dataclasses import dataclass
-from functools import partial
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from splatax import rasterizers
 from splatax.camera import Camera
 from splatax.gaussians import Gaussians
 from splatax.math import ellipsoids, harmonics
@@ -31,16 +29,15 @@ class Dilation:
     """Adds variance to every splat and leaves its opacity (Kerbl et al. 2023, authors' code)."""
 
     variance: float = 0.3  # pixels^2
-    floor: ClassVar[float] = 1.0  # of the factor on opacity: there is none
 
     def fade(self, sharp: Float[Array, ""], blurred: Float[Array, ""]) -> Float[Array, ""]:
-        """Factor on opacity, from the determinants before and after the variance is added."""
+        """Returns the factor on opacity, from the determinants before and after the variance is added: 1."""
         return jnp.ones_like(sharp)
 
 
 @dataclass(frozen=True)
 class Antialiasing:
-    """Adds variance and keeps the splat's total light: no thickening when seen from afar.
+    """Adds variance and keeps the total light of a splat, so that it does not thicken when seen from afar.
 
     The 2D Mip filter of Yu et al. 2024, Eq. 9: opacity times sqrt(|Sigma| / |Sigma + v I|).
     """
@@ -49,11 +46,11 @@ class Antialiasing:
     floor: float = 0.005  # least factor, so that its gradient stays finite for flat Gaussians
 
     def fade(self, sharp: Float[Array, ""], blurred: Float[Array, ""]) -> Float[Array, ""]:
-        """Factor on opacity, from the determinants before and after the variance is added."""
+        """Returns the factor on opacity, from the determinants before and after the variance is added."""
         return jnp.sqrt(jnp.maximum(sharp / blurred, self.floor**2))
 
 
-LowPass = Dilation | Antialiasing  # what keeps a splat from falling between pixels
+LowPass = Dilation | Antialiasing  # keeps a splat from falling between pixels
 LOW_PASSES: dict[str, LowPass] = {"dilation": Dilation(), "antialiasing": Antialiasing()}
 
 
@@ -68,33 +65,21 @@ class Projected(NamedTuple):
     opacity: Float[Array, ""]
 
 
-def project(
-    gaussians: Gaussians,
-    camera: Camera,
-    *,
-    low_pass: LowPass = Dilation(),
-    backend: str = rasterizers.AUTO,
-) -> Splats:
-    """The 2D Gaussians that a camera sees, one row for each Gaussian, in the same order.
+def project(gaussians: Gaussians, camera: Camera, low_pass: LowPass) -> Splats:
+    """Projects all Gaussians to one view: the portable kernel, and the definition of what the others compute.
 
-    Culled rows have zero extent: nearer than 0.01, more transparent than 1/255, beside the image,
-    or not finite. They get zero gradients. Differentiable in the Gaussians and the camera.
+    A row is culled if the Gaussian is nearer than `NEAR`, more transparent than 1/255, beside the image, too
+    large for float32 or broken (see `is_sound`). Culled rows have zero extent and a zero gradient, and change
+    no gradient of the camera; their other numbers are finite.
 
     Args:
-        gaussians: the scene.
+        gaussians: n of them.
         camera: the view.
-        low_pass: what keeps splats from falling between pixels.
-        backend: see `rasterizers.resolve`. One that has a projection of its own uses that.
+        low_pass: the filter against aliasing.
+
+    Returns:
+        n splats in the same order.
     """
-    return _project(gaussians, camera, low_pass, rasterizers.resolve(backend, gaussians.means.dtype))
-
-
-@partial(jax.jit, static_argnames=("low_pass", "backend"))
-@jax.default_matmul_precision("highest")  # GPUs and TPUs would round to 10 or 8 bits
-def _project(gaussians: Gaussians, camera: Camera, low_pass: LowPass, backend: str) -> Splats:
-    implementation = rasterizers.implementation(backend)
-    if hasattr(implementation, "project"):
-        return implementation.project(gaussians, camera, low_pass.variance, low_pass.floor)
     position = camera.position
 
     def one(mean, quat, log_scale, logit, sh):
@@ -124,10 +109,15 @@ def project_one(
     position: Float[Array, "3"],
     low_pass: LowPass,
 ) -> Projected:
-    """`project` for one Gaussian; `position` is the camera's, computed once for all."""
+    """Projects one Gaussian; `position` is the camera's, computed once for all of them."""
+    # Safe operands go inside, not after: what is culled must not send a NaN back.
+    sound = is_sound(mean, quat, log_scale, logit, sh)
+    mean, quat, log_scale, logit, sh = (
+        jnp.where(sound, field, 0) for field in (mean, quat, log_scale, logit, sh)
+    )
     point = camera.to_camera(mean)
-    in_front = (point[2] > NEAR) & jnp.all(jnp.abs(point[:2]) < MAX_SLOPE * point[2])
-    # A safe operand inside, not after: a culled point must not send a NaN back.
+    in_front = sound & (point[2] > NEAR) & jnp.isfinite(point[2])
+    in_front &= jnp.all(jnp.abs(point[:2]) < MAX_SLOPE * point[2])
     point = jnp.where(in_front, point, jnp.array([0, 0, 1], point.dtype))
     mean2d = camera.to_pixel(point)
 
@@ -137,27 +127,45 @@ def project_one(
     factor = jnp.where(usable, factor, 0)
     blurred = ellipsoids.determinant_of_rows(factor, jnp.asarray(low_pass.variance, factor.dtype))
     sharp = ellipsoids.determinant_of_rows(factor, jnp.zeros((), factor.dtype))
-    a, c = jnp.sum(factor * factor, axis=1) + low_pass.variance
+    usable &= blurred > 0  # without a low-pass, a Gaussian can be too thin for its dtype
+    blurred = jnp.where(usable, blurred, 1)
+    a, c = jnp.where(usable, jnp.sum(factor * factor, axis=1) + low_pass.variance, 1)
     covariance = jnp.array([a, factor[0] @ factor[1], c])
 
     opacity = jax.nn.sigmoid(logit) * low_pass.fade(sharp, blurred)
     reach = 2 * jnp.log(jnp.maximum(opacity / MIN_ALPHA, 1))  # squared sigmas at which alpha is 1/255
     extent = jnp.sqrt(reach * jnp.array([a, c]))
+    color = harmonics.evaluate(sh, direction(position, mean, usable)) + 0.5
+    usable &= jnp.all(jnp.isfinite(color))
     visible = usable & (opacity >= MIN_ALPHA) & overlaps_image(mean2d, extent, camera)
-
-    color = jnp.maximum(harmonics.evaluate(sh, direction(position, mean)) + 0.5, 0)
     return Projected(
         mean2d,
         ellipsoids.sqrt_conic(covariance, blurred),
         point[2],
         jnp.where(visible, extent, 0),
-        color,
+        jnp.maximum(jnp.where(usable, color, 0), 0),
         opacity,
     )
 
 
+def is_sound(
+    mean: Float[Array, "3"],
+    quat: Float[Array, "4"],
+    log_scale: Float[Array, "3"],
+    logit: Float[Array, ""],
+    sh: Float[Array, "k 3"],
+) -> Bool[Array, ""]:
+    """Returns whether a Gaussian can be drawn, as far as its numbers tell.
+
+    None may be NaN, and none infinite but for two that mean something: a log scale of -inf is flat, and an
+    opacity logit of +inf is opaque, of -inf an empty slot.
+    """
+    finite = jnp.all(jnp.isfinite(mean)) & jnp.all(jnp.isfinite(quat)) & jnp.all(jnp.isfinite(sh))
+    return finite & jnp.all(log_scale < jnp.inf) & ~jnp.isnan(logit)
+
+
 def perspective_jacobian(point: Float[Array, "3"], camera: Camera) -> Float[Array, "2 3"]:
-    """d pixel / d point, with the point pulled to the frustum's margin if it lies beside it.
+    """Returns d pixel / d point, with the point pulled to the frustum's margin if it lies beside it.
 
     Beside the frustum J explodes, and one splat would flood the image.
     """
@@ -175,14 +183,16 @@ def perspective_jacobian(point: Float[Array, "3"], camera: Camera) -> Float[Arra
 
 
 def overlaps_image(mean2d: Float[Array, "2"], extent: Float[Array, "2"], camera: Camera) -> Bool[Array, ""]:
-    """Whether the box of a splat reaches into the image."""
+    """Returns whether the box of a splat reaches into the image."""
     size = jnp.array([camera.width, camera.height], mean2d.dtype)
     return jnp.all((mean2d + extent > 0) & (mean2d - extent < size))
 
 
-def direction(position: Float[Array, "3"], mean: Float[Array, "3"]) -> Float[Array, "3"]:
-    """Unit vector from the camera to a Gaussian; zero, with zero gradient, where they coincide."""
-    offset = mean - position
+def direction(
+    position: Float[Array, "3"], mean: Float[Array, "3"], usable: Bool[Array, ""]
+) -> Float[Array, "3"]:
+    """Returns the unit vector from the camera to a Gaussian; zero, with zero gradient, if there is none."""
+    offset = jnp.where(usable, mean - position, 0)
     squared = offset @ offset
     apart = squared > 0
     return jnp.where(apart, offset / jnp.sqrt(jnp.where(apart, squared, 1)), 0)

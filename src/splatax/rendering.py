@@ -1,4 +1,8 @@
-"""render = rasterize . project: from a scene and a camera to a picture."""
+"""render = rasterize . project: from a scene and a camera to a picture.
+
+The functions here are the door of the engine. They check shapes and dtypes and resolve the backend once, so
+that kernels get nothing that is malformed.
+"""
 
 from dataclasses import dataclass
 from functools import partial
@@ -8,14 +12,22 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from splatax import rasterizers
+from splatax import backends
+from splatax import camera as cameras
+from splatax import gaussians as scenes
+from splatax import splats as views
+from splatax.backends.protocol import Kernels
 from splatax.camera import Camera
 from splatax.gaussians import Gaussians
-from splatax.projection import Dilation, LowPass, project
+from splatax.projection import Dilation, LowPass
+from splatax.shapes import check_arrays, check_dtypes
 from splatax.splats import Splats
+from splatax.varying import vary_together
 
 BLACK = np.zeros(3, np.float32)
 WHITE = np.ones(3, np.float32)
+
+Background = Float[Array, "3"] | Float[Array, "h w 3"] | Float[np.ndarray, "3"] | Float[np.ndarray, "h w 3"]
 
 
 @jax.tree_util.register_dataclass
@@ -40,59 +52,153 @@ def render(
     gaussians: Gaussians,
     camera: Camera,
     *,
-    background: Float[Array, "3"] | Float[np.ndarray, "3"] = BLACK,
+    background: Background = BLACK,
     features: Float[Array, "n f"] | None = None,
     low_pass: LowPass = Dilation(),
-    backend: str = rasterizers.AUTO,
+    backend: str | Kernels = backends.AUTO,
 ) -> Rendering:
     """Renders a scene. Differentiable in all arrays: scene, camera, background and features.
 
     Args:
         gaussians: the scene.
-        camera: the view; its width and height are static under `jit`.
-        background: RGB seen through what transmittance remains.
+        camera: the view; its width and height are static under `jit`. For several views, use `jax.vmap`.
+        background: RGB seen through what transmittance remains, one colour or one for each pixel.
         features: extra channels for each Gaussian, rendered beside colour.
         low_pass: `Dilation(0.3)`, or `Antialiasing(0.3)` for scenes trained so.
-        backend: "auto", or the name of a rasterizer.
+        backend: "auto", the name of a backend, or kernels of your own.
 
     Raises:
-        ValueError: if the backend is unknown or not available here.
+        ValueError: if the shapes or dtypes of the arrays do not fit together, or the backend is unknown or
+            not available here.
     """
-    splats = project(gaussians, camera, low_pass=low_pass, backend=backend)
-    return rasterize(splats, background=background, features=features, backend=backend)
+    scenes.checked(gaussians)
+    kernels = backends.resolve(backend, _dtype(gaussians.means))
+    splats = project(gaussians, camera, low_pass=low_pass, backend=kernels)
+    return rasterize(splats, background=background, features=features, backend=kernels)
+
+
+def project(
+    gaussians: Gaussians,
+    camera: Camera,
+    *,
+    low_pass: LowPass = Dilation(),
+    backend: str | Kernels = backends.AUTO,
+) -> Splats:
+    """Projects a scene: the first half of `render`. Differentiable in the scene and the camera.
+
+    Culled rows have zero extent: those nearer than 0.01, more transparent than 1/255, beside the image, or
+    with a number that is not finite. They get a zero gradient, and leave that of the camera finite.
+
+    Args:
+        gaussians: the scene.
+        camera: the view.
+        low_pass: see `render`.
+        backend: see `render`.
+
+    Returns:
+        The 2D Gaussians that the camera sees, one row for each Gaussian, in the same order.
+
+    Raises:
+        ValueError: as `render`.
+    """
+    scenes.checked(gaussians)
+    cameras.checked(camera)
+    dtype = check_dtypes(
+        "Gaussians and Camera", {"means": gaussians.means, "cam_from_world": camera.cam_from_world}
+    )
+    return _project(gaussians, camera, low_pass, backends.resolve(backend, dtype))
+
+
+@partial(jax.jit, static_argnames=("low_pass", "kernels"))
+def _project(gaussians: Gaussians, camera: Camera, low_pass: LowPass, kernels: Kernels) -> Splats:
+    gaussians, camera = vary_together(gaussians, camera)
+    return kernels.project(gaussians, camera, low_pass)
 
 
 def rasterize(
     splats: Splats,
     *,
-    background: Float[Array, "3"] | Float[np.ndarray, "3"] = BLACK,
+    background: Background = BLACK,
     features: Float[Array, "n f"] | None = None,
-    backend: str = rasterizers.AUTO,
+    backend: str | Kernels = backends.AUTO,
 ) -> Rendering:
-    """The second half of `render`: draws the 2D Gaussians of one view."""
+    """Draws the 2D Gaussians of one view: the second half of `render`.
+
+    Raises:
+        ValueError: as `render`.
+    """
+    views.checked(splats)
     if features is None:
         features = jnp.zeros((splats.means2d.shape[0], 0), splats.means2d.dtype)
+    check_arrays("Splats", {"means2d": (splats.means2d, "n 2"), "features": (features, "n f")})
     background = jnp.asarray(background, splats.means2d.dtype)
-    return _rasterize(splats, background, features, rasterizers.resolve(backend, splats.means2d.dtype))
+    if background.shape not in ((3,), (splats.height, splats.width, 3)):
+        raise ValueError(
+            f"background has shape {background.shape}. Give one colour, (3,), or one for each pixel, "
+            f"{(splats.height, splats.width, 3)}."
+        )
+    return _rasterize(splats, background, features, backends.resolve(backend, _dtype(splats.means2d)))
 
 
-@partial(jax.jit, static_argnames="backend")
+@partial(jax.jit, static_argnames="kernels")
 def _rasterize(
-    splats: Splats, background: Float[Array, "3"], features: Float[Array, "n f"], backend: str
+    splats: Splats, background: Background, features: Float[Array, "n f"], kernels: Kernels
 ) -> Rendering:
-    channels = jnp.concatenate([splats.colors, splats.depths[:, None], features], axis=1)
-    sums, alpha = rasterizers.composite(splats, channels, backend=backend)
+    channels = {"rgb": splats.colors, "depth": splats.depths[:, None], "features": features}
+    widths = np.cumsum([channel.shape[1] for channel in channels.values()])
+    blended, alpha = composite(splats, jnp.concatenate(list(channels.values()), axis=1), backend=kernels)
+    sums = dict(zip(channels, jnp.split(blended, widths[:-1], axis=2), strict=True))
     covered = alpha > 0
     return Rendering(
-        rgb=over(sums[..., :3], alpha, background),
+        rgb=over(sums["rgb"], alpha, background),
         alpha=alpha,
-        depth=jnp.where(covered, sums[..., 3] / jnp.where(covered, alpha, 1), 0),
-        features=sums[..., 4:],
+        depth=jnp.where(covered, sums["depth"][..., 0] / jnp.where(covered, alpha, 1), 0),
+        features=sums["features"],
     )
 
 
+def composite(
+    splats: Splats, channels: Float[Array, "n c"], *, backend: str | Kernels = backends.AUTO
+) -> tuple[Float[Array, "h w c"], Float[Array, "h w"]]:
+    """Blends any per-splat channels front to back into every pixel.
+
+    Differentiable in means2d, sqrt_conics, opacities and channels. The order of depths is not differentiable;
+    to render depth, pass it as a channel. Splats with `pull` get its gradient too.
+
+    Args:
+        splats: their `colors` are not used: pass them as channels.
+        channels: what to blend, any number of them.
+        backend: see `render`.
+
+    Returns:
+        The sums over splats of weight times channel, and the sums of weights (alpha).
+
+    Raises:
+        ValueError: if the shapes or dtypes of the arrays do not fit together, or the backend is unknown, not
+            available here, or cannot give the gradient of `pull` for so many channels.
+    """
+    views.checked(splats, channels)
+    kernels = backends.resolve(backend, _dtype(splats.means2d))
+    if splats.means2d.shape[0] == 0:
+        size, dtype = (splats.height, splats.width), splats.means2d.dtype
+        return jnp.zeros((*size, channels.shape[1]), dtype), jnp.zeros(size, dtype)
+    return _composite(splats, channels, kernels)
+
+
+@partial(jax.jit, static_argnames="kernels")
+def _composite(splats: Splats, channels: Float[Array, "n c"], kernels: Kernels):
+    splats, channels = vary_together(splats, channels)
+    return kernels.composite(splats, channels)
+
+
 def over(
-    premultiplied: Float[Array, "h w 3"], alpha: Float[Array, "h w"], background: Float[Array, "3"]
+    premultiplied: Float[Array, "h w 3"], alpha: Float[Array, "h w"], background: Background
 ) -> Float[Array, "h w 3"]:
-    """Colour that is already weighted by alpha, over a background."""
-    return premultiplied + (1 - alpha)[..., None] * background[None, None, :]
+    """Returns colour that is already weighted by alpha, over a background."""
+    behind = background[None, None, :] if background.ndim == 1 else background
+    return premultiplied + (1 - alpha)[..., None] * behind
+
+
+def _dtype(array: Array | np.ndarray) -> np.dtype:
+    """Returns the dtype that JAX computes in for an array: without x64, float64 becomes float32."""
+    return jax.dtypes.canonicalize_dtype(array.dtype)

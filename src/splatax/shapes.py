@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 COMPUTED_IN = ("float32", "float64")
+LONGEST_SIDE = 1_000_000  # pixels; kernels count tiles in 16 bits
 
 
 def check_arrays(owner: str, arrays: Mapping[str, tuple[Any, str]], **sizes: int) -> dict[str, int]:
@@ -32,8 +33,8 @@ def check_arrays(owner: str, arrays: Mapping[str, tuple[Any, str]], **sizes: int
     axes = {len(shape) - len(words) for shape, words in found.values()}
     if axes == {1} and len({shape[0] for shape, _ in found.values()}) == 1:
         raise ValueError(
-            f"{owner}: every array has one axis more than it should have, such as {_example(found)}. This takes "
-            "one at a time: use jax.vmap for a batch."
+            f"{owner}: every array has one axis more than it should have, such as {_example(found)}. "
+            "This takes one at a time: use jax.vmap for a batch."
         )
     sizes, bound_by = dict(sizes), {}
     for name, (shape, words) in found.items():
@@ -56,6 +57,8 @@ def check_dtypes(owner: str, arrays: Mapping[str, Any]) -> np.dtype:
     """
     first: tuple[str, np.dtype] | None = None
     for name, array in arrays.items():
+        if isinstance(array, int | float):
+            continue  # a Python number takes the dtype of what it meets
         dtype = jax.dtypes.canonicalize_dtype(array.dtype)
         if dtype.name not in COMPUTED_IN:
             raise ValueError(
@@ -64,14 +67,31 @@ def check_dtypes(owner: str, arrays: Mapping[str, Any]) -> np.dtype:
             )
         if first is not None and dtype != first[1]:
             raise ValueError(
-                f"{owner}: {name} is {dtype.name}, but {first[0]} is {first[1].name}. Give all arrays one dtype."
+                f"{owner}: {name} is {dtype.name}, but {first[0]} is {first[1].name}. "
+                "Give all arrays one dtype."
             )
         first = first or (name, dtype)
     assert first is not None
     return first[1]
 
 
+def check_size(owner: str, width: Any, height: Any) -> None:
+    """Checks that an image has a size that can be drawn, in pixels.
+
+    Raises:
+        ValueError: if a side is no positive Python integer, or longer than 1,000,000.
+    """
+    for name, side in (("width", width), ("height", height)):
+        if isinstance(side, bool) or not isinstance(side, int) or not 1 <= side <= LONGEST_SIDE:
+            raise ValueError(
+                f"{owner}: {name} is {side!r}, but it must be a whole number of pixels from "
+                f"1 to {LONGEST_SIDE:,}."
+            )
+
+
 def _shape(owner: str, name: str, array: Any) -> tuple[int, ...]:
+    if isinstance(array, int | float) and not isinstance(array, bool):
+        return ()
     if not isinstance(array, jax.Array | np.ndarray | np.generic | jax.ShapeDtypeStruct):
         raise ValueError(
             f"{owner}: {name} is {type(array).__name__}, not an array. Convert it: jnp.asarray({name})."

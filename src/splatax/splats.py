@@ -1,13 +1,15 @@
 """The seam of the pipeline: `Splats`, the 2D Gaussians of one view.
 
-Left of it (projection) is JAX that every device shares; right of it is all that a rasterizer
-backend implements. The cotangent that crosses it is the signal that density control reads.
+Left of it, a camera decides what is seen; right of it, a rasterizer paints that. The cotangent that crosses
+the seam is the signal that density control reads.
 """
 
 from dataclasses import dataclass, field
 
 import jax
 from jaxtyping import Array, Float
+
+from splatax.shapes import check_arrays, check_size
 
 MIN_ALPHA = 1 / 255  # below one 8-bit level a splat is not drawn
 MAX_ALPHA = 0.99  # keeps 1 - alpha invertible in backward passes
@@ -29,13 +31,13 @@ class Splats:
         sqrt_conics: triangular square root of the inverse covariance, 1 / pixels.
         depths: camera z, world units; nearest is drawn first, ties in their order here.
         extents: half width and height, pixels, of the box outside which alpha is 0. Zero means
-            culled: drawn nowhere, with no gradient.
+            culled: drawn nowhere, with a zero gradient.
         colors: display-referred RGB, at least 0.
         opacities: alpha at the mean, in [0, 1].
         width, height: of the image, pixels (static).
-        pull: None, or zeros, to ask for a gradient that means2d cannot give: the sum over pixels of
-            |dL/dx| and |dL/dy|, how hard pixels pull at the mean, be it in opposite directions. It
-            moves nothing.
+        pull: None, or zeros to ask for a gradient that means2d cannot give: the sum over pixels of |dL/dx|
+            and |dL/dy|, which is how hard pixels pull at the mean even where they pull in opposite
+            directions. Its value changes nothing.
     """
 
     means2d: Float[Array, "n 2"]
@@ -47,3 +49,28 @@ class Splats:
     width: int = field(metadata={"static": True})
     height: int = field(metadata={"static": True})
     pull: Float[Array, "n 2"] | None = None
+
+
+def checked(splats: Splats, channels: Float[Array, "n c"] | None = None) -> Splats:
+    """Returns the splats if their arrays fit together, and the channels to blend have a row for each.
+
+    It looks at shapes and dtypes alone, so it works on traced arrays.
+
+    Raises:
+        ValueError: if a shape or dtype is wrong, or the image has no size.
+    """
+    arrays = {
+        "means2d": (splats.means2d, "n 2"),
+        "sqrt_conics": (splats.sqrt_conics, "n 3"),
+        "depths": (splats.depths, "n"),
+        "extents": (splats.extents, "n 2"),
+        "colors": (splats.colors, "n 3"),
+        "opacities": (splats.opacities, "n"),
+    }
+    if splats.pull is not None:
+        arrays["pull"] = (splats.pull, "n 2")
+    if channels is not None:
+        arrays["channels"] = (channels, "n c")
+    check_arrays("Splats", arrays)
+    check_size("Splats", splats.width, splats.height)
+    return splats

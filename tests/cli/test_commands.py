@@ -11,7 +11,7 @@ from numpy.testing import assert_array_equal
 from PIL import Image
 
 import splatax as sx
-from splatax import cli, lpips, rasterizers
+from splatax import backends, cli, lpips
 from splatax.cli.train import Train
 from splatax.training.backgrounds import Solid
 from splatax.training.initialize import InFrusta
@@ -48,7 +48,7 @@ def test_config_holds_all_that_repeats_a_run(trained, capture):
     config = read_json(trained / "config.json")
     assert config["options"]["scene"] == str(capture)
     assert config["options"]["seed"] == 0
-    assert config["recipe"]["backend"] == rasterizers.resolve("auto")
+    assert config["recipe"]["backend"] == backends.resolve("auto").name
     assert set(config["versions"]) >= {"splatax", "jax", "jaxlib", "numpy", "python"}
 
 

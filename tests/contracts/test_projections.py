@@ -1,4 +1,4 @@
-"""Backends that project by themselves must do as `splatax.projection` does."""
+"""The projection of every backend must do what `splatax.projection` defines."""
 
 from dataclasses import replace
 
@@ -9,10 +9,13 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scenes import camera_at, random_gaussians
-from splatax import rasterizers
-from splatax.projection import Antialiasing, Dilation, project
+from splatax import backends
+from splatax.backends import cpu
+from splatax.projection import Antialiasing, Dilation
+from splatax.rendering import project
 
-OWN = [name for name in rasterizers.BACKENDS if hasattr(rasterizers.implementation(name), "project")]
+REFERENCE = backends.kernels("reference").project
+OWN = [name for name in backends.BACKENDS if backends.kernels(name).project is not REFERENCE]
 DIFFERENTIABLE = ("means2d", "sqrt_conics", "depths", "colors", "opacities")
 FIELDS = (*DIFFERENTIABLE, "extents")
 CAMERA = camera_at((0.3, 0.2, -3.0), size=(64, 48))
@@ -20,7 +23,7 @@ CAMERA = camera_at((0.3, 0.2, -3.0), size=(64, 48))
 
 @pytest.fixture(params=OWN)
 def backend(request):
-    if reason := rasterizers.why_unavailable(request.param):
+    if reason := backends.why_unavailable(request.param):
         pytest.skip(reason)
     return request.param
 
@@ -90,15 +93,15 @@ def test_absurd_gaussians_are_culled_and_leave_the_camera_its_gradient(backend, 
     assert all((leaf[culled] == 0).all() for leaf in jax.tree.leaves(of_gaussians))
 
 
-def test_any_number_of_threads_gives_the_same_bits(backend):
-    implementation = rasterizers.implementation(backend)
+@pytest.mark.skipif(cpu.BEST.why_unavailable() is not None, reason="no native library")
+def test_any_number_of_threads_gives_the_same_bits():
     gaussians = random_gaussians(n=10_000, degree=1)
 
     def gradient(threads):
-        limited = replace(implementation, threads=threads)
+        kernels = cpu.kernels(threads=threads)
 
         def objective(gaussians, camera):
-            splats = limited.project(gaussians, camera, 0.3, 1.0)
+            splats = project(gaussians, camera, backend=kernels)
             return jnp.sum(splats.means2d) + jnp.sum(splats.sqrt_conics * splats.opacities[:, None])
 
         return jax.grad(objective, argnums=(0, 1))(gaussians, CAMERA)

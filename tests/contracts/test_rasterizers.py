@@ -1,4 +1,4 @@
-"""What every rasterizer backend must do. A new one enrols by its line in `rasterizers.BACKENDS`."""
+"""What the rasterizer of every backend must do. A new one enrols by its line in `backends.BACKENDS`."""
 
 from dataclasses import replace
 from functools import partial
@@ -10,29 +10,28 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scenes import BLUE, GREEN, RED, at, random_splats, splats
-from splatax import rasterizers
+from splatax import backends
+from splatax.rendering import composite
 
-FAST = [
-    name for name in rasterizers.BACKENDS if name not in ("reference", "cpu")
-]  # cpu: the best of its kind
+FAST = [name for name in backends.BACKENDS if name not in ("reference", "cpu")]  # cpu: the best of its kind
 
 
 @pytest.fixture(params=["reference", *FAST])
 def backend(request):
-    if reason := rasterizers.implementation(request.param).why_unavailable():
+    if reason := backends.why_unavailable(request.param):
         pytest.skip(reason)
     return request.param
 
 
 @pytest.fixture(params=FAST)
 def fast(request):
-    if reason := rasterizers.implementation(request.param).why_unavailable():
+    if reason := backends.why_unavailable(request.param):
         pytest.skip(reason)
     return request.param
 
 
 def draw(scene, backend):
-    return rasterizers.composite(scene, scene.colors, backend=backend)
+    return composite(scene, scene.colors, backend=backend)
 
 
 @partial(jax.jit, static_argnames="backend")
@@ -40,7 +39,7 @@ def gradients(scene, channels, cotangents, backend):
     """Of <image, cotangents> in everything that a backend differentiates."""
 
     def objective(scene, channels):
-        image, alpha = rasterizers.composite(scene, channels, backend=backend)
+        image, alpha = composite(scene, channels, backend=backend)
         return jnp.sum(image * cotangents[0]) + jnp.sum(alpha * cotangents[1])
 
     of_scene, of_channels = jax.grad(objective, argnums=(0, 1))(scene, channels)
@@ -227,7 +226,7 @@ def test_image_and_gradients_equal_the_reference(fast, seed):
 
 def test_double_precision_equals_the_reference_to_its_rounding(fast, x64):
     scene = random_splats(3, dtype=np.float64)
-    if reason := rasterizers.why_unavailable(fast, np.float64):
+    if reason := backends.why_unavailable(fast, np.float64):
         pytest.skip(reason)
     for actual, expected in zip(draw(scene, fast), draw(scene, "reference"), strict=True):
         assert_allclose(actual, expected, atol=1e-13)
@@ -251,7 +250,7 @@ def test_pull_of_thousands_of_splats_in_one_tile(fast):
 
 
 def test_pull_in_double_precision_equals_the_reference_to_its_rounding(fast, x64):
-    if reason := rasterizers.why_unavailable(fast, np.float64):
+    if reason := backends.why_unavailable(fast, np.float64):
         pytest.skip(reason)
     scene = random_splats(3, dtype=np.float64)
     assert_same_gradients(watched(scene), scene.colors, fast, 1e-11)
@@ -261,7 +260,7 @@ def test_pull_in_double_precision_equals_the_reference_to_its_rounding(fast, x64
 def test_any_number_of_channels(fast, channels):
     scene = random_splats(n=150)
     values = jnp.asarray(np.random.default_rng(2).normal(size=(150, channels)).astype(np.float32))
-    actual, expected = (rasterizers.composite(scene, values, backend=b)[0] for b in (fast, "reference"))
+    actual, expected = (composite(scene, values, backend=b)[0] for b in (fast, "reference"))
     assert_allclose(actual, expected, atol=1e-5)
     assert_same_gradients(scene, values, fast, 2e-5)
 
@@ -313,13 +312,12 @@ def test_the_same_call_gives_the_same_bits(backend):
 
 
 def test_an_unknown_backend_is_refused_with_the_choices():
-    with pytest.raises(
-        ValueError, match=r"no rasterizer backend 'cuda': choose from auto, reference, xla, cpu"
-    ):
-        rasterizers.resolve("cuda")
+    with pytest.raises(ValueError, match=r"no backend 'cuda': choose from auto, reference, xla, cpu"):
+        backends.resolve("cuda")
 
 
 def test_a_backend_asked_for_by_name_never_falls_back(monkeypatch):
-    monkeypatch.setattr(rasterizers.implementation("xla"), "why_unavailable", lambda: "no such luck")
+    broken = replace(backends.kernels("xla"), why_unavailable=lambda: "no such luck")
+    monkeypatch.setattr(backends.portable, "KERNELS", broken)
     with pytest.raises(ValueError, match="'xla' is not available: no such luck"):
-        rasterizers.resolve("xla")
+        backends.resolve("xla")

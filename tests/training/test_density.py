@@ -11,8 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from scenes import camera_at, random_gaussians
 from splatax.math import quaternions
-from splatax.projection import project
-from splatax.rendering import render
+from splatax.rendering import project, render
 from splatax.training import optimizer
 from splatax.training.capacity import bucket_for, pad
 from splatax.training.density import STRATEGIES, ByFactor, Classic, DensityStrategy, Mcmc

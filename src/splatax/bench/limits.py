@@ -2,7 +2,7 @@
 
 A slot is a pixel at which a splat is evaluated. The image takes 33 operations a slot: exponent 10,
 exp2 13, alpha, transmittance and weight 4, three channels 6. The gradient takes 62: the same again
-without channels, and 35 of its own. Counted in native/chunk.h, blending.h and gradient.h, a fused
+without channels, and 35 of its own. Counted in native/cpu/chunk.h, blending.h and gradient.h, a fused
 multiply-add as two, comparisons as none.
 """
 
@@ -13,15 +13,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from splatax import native
+from splatax.backends.cpu import MAX_PAIRS, Build, library
 from splatax.bench.timing import timed
-from splatax.native import Build
-from splatax.rasterizers.cpu import MAX_PAIRS
 from splatax.splats import Splats
 
-TILE = 16  # pixels a side; of native/splats.h
+TILE = 16  # pixels a side; of native/cpu/splats.h
 FLOPS = {"rasterize": 33, "rasterize F+B": 33 + 62}  # a slot
-CHAINS, LANES = 12, 16  # of native/limits.h and lanes.h
+CHAINS, LANES = 12, 16  # of native/cpu/roofline.h and lanes.h
 ROUNDS, TRIES = 2_000_000, 5  # of the measurement: about 0.1 s each
 
 
@@ -35,11 +33,11 @@ class Slots:
 
 def slots(splats: Splats) -> Slots | None:
     """Counts them; None without the native library."""
-    if native.why_unavailable(None):
+    if library.why_unavailable(None):
         return None
     tiles = -(-splats.width // TILE) * -(-splats.height // TILE)
     fields = (splats.means2d, splats.sqrt_conics, splats.depths, splats.extents, splats.opacities)
-    (counts,) = Build(native.best_instructions()).call(
+    (counts,) = Build().call(
         "splatax_slots",
         [jax.ShapeDtypeStruct((tiles, 2), jnp.int32)],
         [*fields, splats.colors],
@@ -54,9 +52,9 @@ def slots(splats: Splats) -> Slots | None:
 def peak_flops() -> float | None:
     """Multiplications and additions a second that all threads reach together, in chains of fused
     multiply-adds that touch no memory: the best of a few tries. None without the native library."""
-    if native.why_unavailable(None):
+    if library.why_unavailable(None):
         return None
-    build = Build(native.best_instructions())
+    build = Build()
 
     def work() -> jax.Array:
         (sums,) = build.call("splatax_multiply_adds", [(os.cpu_count() or 1,)], [], rounds=np.int64(ROUNDS))

@@ -9,11 +9,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from splatax import rasterizers
+from splatax import backends
 from splatax.bench.scenes import Scene
 from splatax.losses import Photometric
-from splatax.projection import project
-from splatax.rendering import render
+from splatax.rendering import composite, project, render
 from splatax.training import optimizer
 from splatax.training.feed import Batch
 from splatax.training.loop import first_state
@@ -58,12 +57,12 @@ def rasterizer(scene: Scene, backend: str) -> dict[str, Operation]:
 
     @jax.jit
     def forward(splats):
-        return rasterizers.composite(splats, splats.colors, backend=backend)
+        return composite(splats, splats.colors, backend=backend)
 
     @jax.jit
     def gradient(splats):
         def total(splats):
-            sums, alpha = rasterizers.composite(splats, splats.colors, backend=backend)
+            sums, alpha = composite(splats, splats.colors, backend=backend)
             return jnp.sum(sums * weights) + jnp.sum(alpha * weights[..., 0])
 
         return jax.value_and_grad(total)(splats)
@@ -80,7 +79,8 @@ def viewing(scene: Scene, backend: str) -> dict[str, Operation]:
 def training(scene: Scene, backend: str) -> dict[str, Operation]:
     """The loss, Adam, and all together."""
     image, photo = images(scene.camera.height, scene.camera.width)
-    loss_gradient = jax.jit(jax.value_and_grad(partial(Photometric(), backend=backend)))
+    loss = partial(Photometric(), kernel=backends.kernels(backend).photometric)
+    loss_gradient = jax.jit(jax.value_and_grad(loss))
     return {
         f"loss{BACKWARD}": lambda: loss_gradient(image, photo),
         "Adam": adam(scene),

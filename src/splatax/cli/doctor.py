@@ -11,7 +11,8 @@ from rich.console import Console
 from rich.table import Table
 
 import splatax as sx
-from splatax import native, rasterizers
+from splatax import backends
+from splatax.backends.cpu import library
 from splatax.bench.scenes import procedural
 from splatax.cli.platform import device, versions
 
@@ -29,14 +30,14 @@ class Doctor:
     def run(self) -> None:
         print(f"device        {device()}; JAX runs on {jax.default_backend()}")
         print(f"threads       {usable_threads()} usable by this process")
-        if native.why_unavailable(None) is None:
-            print(f"instructions  {native.best_instructions()}")
+        if library.why_unavailable(None) is None:
+            print(f"instructions  {library.best_instructions()}")
         print("versions      " + ", ".join(f"{name} {version}" for name, version in versions().items()))
         table = Table("rasterizer", "state", "largest difference from the reference")
-        chosen, sound = rasterizers.resolve(), True
+        chosen, sound = backends.resolve().name, True
         expected = image_and_gradient("reference")
-        for name in rasterizers.BACKENDS:
-            reason = rasterizers.why_unavailable(name)
+        for name in backends.BACKENDS:
+            reason = backends.why_unavailable(name)
             if reason is not None:
                 table.add_row(name, f"not available: {reason}", "")
                 continue

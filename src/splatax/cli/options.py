@@ -10,7 +10,7 @@ from typing import Any, Literal
 import jax
 
 import splatax as sx
-from splatax import rasterizers
+from splatax import backends
 from splatax.errors import InputError
 from splatax.io import formats
 from splatax.projection import LOW_PASSES, LowPass
@@ -19,7 +19,7 @@ from splatax.training.backgrounds import BACKGROUNDS
 from splatax.training.refinement import REFINEMENTS
 
 Downscale = Literal["auto"] | int
-BackendName = Literal["auto", *rasterizers.BACKENDS]  # type: ignore[valid-type]
+BackendName = Literal["auto", *backends.BACKENDS]  # type: ignore[valid-type]
 BackgroundName = Literal[*BACKGROUNDS]  # type: ignore[valid-type]
 AppearanceName = Literal[*APPEARANCES]  # type: ignore[valid-type]
 RefinementName = Literal[*REFINEMENTS]  # type: ignore[valid-type]
@@ -106,9 +106,9 @@ def resolve_backend(name: str) -> str:
         InputError: if it cannot run here.
     """
     try:
-        chosen = rasterizers.resolve(name)
+        chosen = backends.resolve(name).name
     except ValueError as error:
         raise InputError(f"--backend: {error}.") from error
     if name == "auto" and jax.default_backend() == "cpu" and chosen != "cpu":
-        print(f"using the portable rasterizer: {rasterizers.implementation('cpu').why_unavailable()}")
+        print(f"using the portable rasterizer: {backends.why_unavailable('cpu')}")
     return chosen

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from splatax import rasterizers
+from splatax import backends
 from splatax.camera import Camera
 from splatax.gaussians import Gaussians
 from splatax.math.neighbours import mean_squared_distances
@@ -117,7 +117,7 @@ def visible_weights(
     cameras: Sequence[Camera],
     *,
     low_pass: LowPass = Dilation(),
-    backend: str = rasterizers.AUTO,
+    backend: str = backends.AUTO,
 ) -> Float[np.ndarray, " n"]:
     """How many pixels each Gaussian fills in views: the sum of its blending weights.
 

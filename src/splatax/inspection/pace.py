@@ -3,7 +3,7 @@
 import time
 from dataclasses import replace
 
-from splatax import rasterizers
+from splatax import backends
 from splatax.bench.operations import step
 from splatax.bench.scenes import procedural
 from splatax.bench.timing import timed
@@ -25,7 +25,7 @@ def seconds_to_train(dataset: Dataset, gaussians: int) -> float:
         dataset: the capture.
         gaussians: that the scene grows to.
     """
-    recipe = replace(default(max_gaussians=gaussians), backend=rasterizers.resolve("auto"))
+    recipe = replace(default(max_gaussians=gaussians), backend=backends.resolve("auto"))
     camera = dataset.train[0].camera
     size = camera.width, camera.height
     fewer = round(mean_count(min(len(dataset.points) or gaussians, gaussians), gaussians))

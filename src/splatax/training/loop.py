@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from splatax import rasterizers
+from splatax import backends
 from splatax.dataset import Dataset
 from splatax.errors import DatasetError
 from splatax.gaussians import Gaussians
@@ -105,7 +105,7 @@ def optimize(
         raise DatasetError("The capture has no photos to train on.")
     if recipe.steps < 1:
         raise ValueError(f"a recipe needs at least one step, not {recipe.steps}")
-    recipe = replace(recipe, backend=rasterizers.resolve(recipe.backend))
+    recipe = replace(recipe, backend=backends.resolve(recipe.backend))
     if start is None:
         gaussians = recipe.initialization(dataset, recipe.sh_degree, recipe.seed)
         require_visible(gaussians, dataset)

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from splatax.backends.protocol import Kernels
 from splatax.dataset import Dataset
 from splatax.losses import Photometric
 from splatax.projection import Dilation, LowPass
@@ -36,7 +37,7 @@ class Recipe:
     sh_every: int = 1_000  # steps after which the next band of spherical harmonics is free
     background: Background = Solid()
     low_pass: LowPass = Dilation()
-    backend: str = "auto"  # of the rasterizer
+    backend: str | Kernels = "auto"
     seed: int = 0
 
 

@@ -10,10 +10,9 @@ import optax
 from jax import lax
 from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt8
 
-from splatax import rasterizers
+from splatax import backends
 from splatax.gaussians import Gaussians
-from splatax.projection import project
-from splatax.rendering import over
+from splatax.rendering import composite, over, project
 from splatax.splats import Splats
 from splatax.training import optimizer
 from splatax.training.feed import Batch
@@ -119,18 +118,19 @@ def compare(
 ) -> tuple[Float[Array, ""], Splats, Gradients]:
     """The loss of a view, the splats in it, and all gradients."""
     photo = photo_over(batch.photo, background)
+    kernels = backends.resolve(recipe.backend)
 
     def image_loss(splats, look):
-        sums, alpha = rasterizers.composite(splats, splats.colors, backend=recipe.backend)
+        sums, alpha = composite(splats, splats.colors, backend=kernels)
         image = over(recipe.appearance(look, sums, alpha), alpha, background)
-        return recipe.loss(image, photo, batch.mask, backend=recipe.backend)
+        return recipe.loss(image, photo, batch.mask, kernels.photometric)
 
     # Of pixels of the whole photo, so that a smaller one teaches a scene that is sharp on the whole one.
     low_pass = replace(recipe.low_pass, variance=recipe.low_pass.variance / batch.divisor**2)
 
     def project_view(gaussians, pose):
         camera = recipe.refinement(pose, batch.camera, state.extent)
-        splats = project(gaussians, camera, low_pass=low_pass, backend=recipe.backend)
+        splats = project(gaussians, camera, low_pass=low_pass, backend=kernels)
         return recipe.density.watch(splats), recipe.prior(gaussians, state.extent)
 
     look = recipe.appearance.of(state.appearance, batch.source)

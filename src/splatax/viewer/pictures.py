@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt8
 
+from splatax.backends.protocol import Kernels
 from splatax.camera import Camera
 from splatax.gaussians import Gaussians
 from splatax.metrics import to_8bit
@@ -36,7 +37,7 @@ class Look:
     box: tuple[Corner, Corner] | None = None
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     low_pass: LowPass = Dilation()
-    backend: str = "auto"
+    backend: str | Kernels = "auto"
 
     def picture(self, gaussians: Gaussians, camera: Camera) -> UInt8[np.ndarray, "h w 3"]:
         """Draws what a camera sees, 8-bit RGB."""

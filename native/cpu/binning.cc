@@ -1,0 +1,231 @@
+#include "binning.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+
+namespace splatax {
+namespace {
+
+constexpr int DIGIT_BITS = 11, DIGITS = 1 << DIGIT_BITS;  // of the radix sort: three passes
+
+constexpr int SMALL_BOX = 4;  // tiles: up to so many are listed without looking at the ellipse
+
+// Keeps the order of floats, negative ones too.
+uint32_t sort_key(float depth) {
+  uint32_t bits;
+  std::memcpy(&bits, &depth, sizeof bits);
+  return bits & 0x80000000u ? ~bits : bits | 0x80000000u;
+}
+
+// Fills in a splat and its box of tiles; false if no pixel centre is inside its box.
+bool prepare(const Input& input, int row, Splat& splat) {
+  const float x = input.means2d[2 * row], y = input.means2d[2 * row + 1];
+  const float half_width = input.extents[2 * row], half_height = input.extents[2 * row + 1];
+  const float opacity = input.opacities[row];
+  // Written so that NaN is culled.
+  if (!(half_width > 0 && half_height > 0 && opacity >= MIN_ALPHA)) return false;
+  const float left = std::max(std::ceil(x - half_width - 0.5f), 0.0f);
+  const float right = std::min(std::floor(x + half_width - 0.5f), input.width - 1.0f);
+  const float top = std::max(std::ceil(y - half_height - 0.5f), 0.0f);
+  const float bottom = std::min(std::floor(y + half_height - 0.5f), input.height - 1.0f);
+  if (!(left <= right && top <= bottom)) return false;
+
+  const float u = input.sqrt_conics[3 * row] * ROOT_HALF_LOG2_E;
+  const float v = input.sqrt_conics[3 * row + 1] * ROOT_HALF_LOG2_E;
+  const float w = input.sqrt_conics[3 * row + 2] * ROOT_HALF_LOG2_E;
+  splat.x = x, splat.y = y, splat.u = u, splat.v = v, splat.w = w;
+  splat.level = std::log2(opacity);
+  splat.reach = (splat.level - LOG2_MIN_ALPHA) * 1.001f + 1e-3f;
+  splat.x_per_y = u != 0 ? -v / u : 0;
+  splat.y_per_x = v != 0 || w != 0 ? -u * v / (v * v + w * w) : 0;
+  splat.row = row;
+  splat.first_column = static_cast<uint16_t>(left / TILE);
+  splat.last_column = static_cast<uint16_t>(right / TILE);
+  splat.first_row = static_cast<uint16_t>(top / TILE);
+  splat.last_row = static_cast<uint16_t>(bottom / TILE);
+  return true;
+}
+
+int box_tiles(const Splat& splat) {
+  return (splat.last_column - splat.first_column + 1) * (splat.last_row - splat.first_row + 1);
+}
+
+// Written field by field: copying a fresh Span waits for its stores.
+void append(std::vector<Span>& spans, int row, int first, int last) {
+  spans.emplace_back();
+  Span& span = spans.back();
+  span.row = static_cast<uint16_t>(row);
+  span.first = static_cast<uint16_t>(first);
+  span.last = static_cast<uint16_t>(last);
+}
+
+// Appends the tiles that the ellipse t^2 + s^2 <= reach touches, row by row.
+//
+// At height dy the ellipse reaches from (-v dy - c) / u to (-v dy + c) / u with c^2 = reach - w^2 dy^2.
+// Over a band of heights the right end is furthest where its derivative is zero, at
+// dy = -v sqrt(reach) / (w sqrt(v^2 + w^2)), or at the end of the band next to that; the left end,
+// by symmetry, opposite.
+int append_spans(const Splat& splat, std::vector<Span>& spans) {
+  if (box_tiles(splat) <= SMALL_BOX) {  // the blocks of its tiles will tell
+    for (int row = splat.first_row; row <= splat.last_row; ++row) {
+      append(spans, row, splat.first_column, splat.last_column);
+    }
+    return box_tiles(splat);
+  }
+  const float root = std::sqrt(splat.reach);
+  const float steep = splat.w * std::sqrt(splat.v * splat.v + splat.w * splat.w);
+  const bool bounded = splat.u > 0 && steep > 0;
+  const float height = bounded ? root / splat.w : 0;
+  const float turn = bounded ? -splat.v * root / steep : 0;
+  int count = 0;
+  for (int row = splat.first_row; row <= splat.last_row; ++row) {
+    int first = splat.first_column, last = splat.last_column;
+    if (bounded) {
+      const float low = std::max(row * TILE + 0.5f - splat.y, -height);
+      const float high = std::min(row * TILE + TILE - 0.5f - splat.y, height);
+      if (low > high) continue;
+      const float right_at = std::clamp(turn, low, high), left_at = std::clamp(-turn, low, high);
+      const auto chord = [&](float dy) {
+        return std::sqrt(std::max(splat.reach - splat.w * splat.w * dy * dy, 0.0f));
+      };
+      const float right = splat.x + (chord(right_at) - splat.v * right_at) / splat.u;
+      const float left = splat.x + (-chord(left_at) - splat.v * left_at) / splat.u;
+      const float leftmost = std::max(std::ceil(left - 0.51f), static_cast<float>(first * TILE));
+      const float rightmost = std::min(std::floor(right - 0.49f), last * TILE + TILE - 1.0f);
+      if (!(leftmost <= rightmost)) continue;
+      first = static_cast<int>(leftmost) / TILE, last = static_cast<int>(rightmost) / TILE;
+    }
+    append(spans, row, first, last);
+    count += last - first + 1;
+  }
+  return count;
+}
+
+}  // namespace
+
+void Binning::collect(const Input& input, Workers& workers, int64_t max_pairs) {
+  listed_ = loaded_ = NONE;
+  count_ = input.count;
+  channel_count_ = input.channel_count;
+  width_ = input.width;
+  height_ = input.height;
+  columns = (input.width + TILE - 1) / TILE, rows = (input.height + TILE - 1) / TILE;
+  Splat* collected = collected_.at_least(input.count);
+  uint32_t* keys = keys_.at_least(input.count);
+  int32_t* places = places_.at_least(input.count);
+  std::vector<int> found(workers.count(), 0), begins(workers.count(), 0);
+  workers.ranges(input.count, [&](int range, int begin, int end) {
+    int place = begin;
+    for (int row = begin; row < end; ++row) {
+      if (!prepare(input, row, collected[place])) continue;
+      keys[place] = sort_key(input.depths[row]);
+      ++place;
+    }
+    begins[range] = begin, found[range] = place - begin;
+  });
+  // Closes the gaps between what the ranges found, in keys and places alone.
+  visible = 0;
+  for (int range = 0; range < workers.count(); ++range) {
+    for (int i = 0; i < found[range]; ++i, ++visible) {
+      keys[visible] = keys[begins[range] + i];
+      places[visible] = begins[range] + i;
+    }
+  }
+  order(workers);
+
+  Splat* sorted = splats.at_least(visible);
+  workers.ranges(visible, [&](int, int begin, int end) {
+    for (int i = begin; i < end; ++i) sorted[i] = collected[places_[i]];
+  });
+  rounds.assign(1, {0, visible});
+  int64_t pairs_at_most = 0;
+  for (int i = 0; i < visible; ++i) {
+    const int more = box_tiles(sorted[i]);
+    if (pairs_at_most > 0 && pairs_at_most + more > max_pairs) {
+      rounds.back().end = i;
+      rounds.push_back({i, visible});
+      pairs_at_most = 0;
+    }
+    pairs_at_most += more;
+  }
+}
+
+void Binning::load_channels(const Input& input, int first, int size, Workers& workers) {
+  if (loaded_ == first) return;
+  loaded_ = first;
+  workers.ranges(visible, [&](int, int begin, int end) {
+    for (int i = begin; i < end; ++i) {
+      const float* from = input.channels + static_cast<size_t>(splats[i].row) * input.channel_count + first;
+      for (int c = 0; c < GROUP; ++c) splats[i].channels[c] = c < size ? from[c] : 0;
+    }
+  });
+}
+
+void Binning::order(Workers& workers) {
+  sorted_keys_.at_least(visible), sorted_places_.at_least(visible);
+  for (int shift = 0; shift < 32; shift += DIGIT_BITS) {
+    histogram_.clear(workers.count(), DIGITS);
+    const auto digit = [&](int i) { return (keys_[i] >> shift) & (DIGITS - 1); };
+    workers.ranges(visible, [&](int range, int begin, int end) {
+      int32_t* counts = histogram_.of(range);
+      for (int i = begin; i < end; ++i) ++counts[digit(i)];
+    });
+    histogram_.place();
+    workers.ranges(visible, [&](int range, int begin, int end) {
+      int32_t* next = histogram_.of(range);
+      for (int i = begin; i < end; ++i) {
+        const int32_t to = next[digit(i)]++;
+        sorted_keys_[to] = keys_[i], sorted_places_[to] = places_[i];
+      }
+    });
+    std::swap(keys_, sorted_keys_), std::swap(places_, sorted_places_);
+  }
+}
+
+void Binning::list(int number, Workers& workers) {
+  if (listed_ == number) return;
+  listed_ = number;
+  const Round& round = rounds[number];
+  const int count = round.end - round.begin, ranges = workers.count();
+  int32_t* first = first_pair.at_least(count + 1);
+  histogram_.clear(ranges, tiles());
+  spans_.resize(std::max(spans_.size(), static_cast<size_t>(ranges)));
+  workers.ranges(count, [&](int range, int begin, int end) {
+    int32_t* counts = histogram_.of(range);
+    std::vector<Span>& spans = spans_[range];
+    spans.clear();
+    for (int i = begin; i < end; ++i) {
+      const size_t before = spans.size();
+      first[i] = append_spans(splats[round.begin + i], spans);
+      for (size_t k = before; k < spans.size(); ++k) {
+        for (int column = spans[k].first; column <= spans[k].last; ++column) {
+          ++counts[spans[k].row * columns + column];
+        }
+      }
+    }
+  });
+  int32_t total = 0;
+  for (int i = 0; i <= count; ++i) {
+    const int32_t own = i < count ? first[i] : 0;
+    first[i] = total, total += own;
+  }
+  histogram_.place();
+  int32_t* begins = starts_.at_least(tiles() + 1);
+  std::copy_n(histogram_.of(0), tiles(), begins);
+  begins[tiles()] = total;
+  Pair* all = pairs_.at_least(total);
+  workers.ranges(count, [&](int range, int begin, int end) {
+    int32_t* next = histogram_.of(range);
+    const Span* span = spans_[range].data();
+    for (int i = begin; i < end; ++i) {
+      for (int32_t index = first[i]; index < first[i + 1]; ++span) {
+        for (int column = span->first; column <= span->last; ++column, ++index) {
+          all[next[span->row * columns + column]++] = {round.begin + i, index};
+        }
+      }
+    }
+  });
+}
+
+}  // namespace splatax

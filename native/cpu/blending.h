@@ -1,0 +1,60 @@
+// The image of a tile: its splats blended front to back.
+//
+//   C = sum_i T_i alpha_i c_i,   T_i = prod_{j<i} (1 - alpha_j)         (Kerbl et al. 2023, Eq. 3)
+#pragma once
+
+#include "tiles.h"
+
+namespace splatax {
+
+// Of a tile, block by block, between rounds and in the end.
+template <int C>
+struct TileImage {
+  // Of a pixel that is done, or outside the image: negated.
+  alignas(64) float transmittance[BLOCKS][LANES];
+  alignas(64) float sums[C][BLOCKS][LANES];
+
+  void clear(const Input& input, const Tile& tile) {
+    for (auto& channel : sums) std::memset(channel, 0, sizeof channel);
+    let_light_through(input, tile, transmittance);
+  }
+
+  // Blends the tile's list, and calls count(step) for each splat at a block of pixels.
+  template <class Count>
+  void blend(const Tile& tile, const Count& count) {
+    uint32_t live = live_blocks(transmittance);
+    each_chunk<C>(tile, live, [&](const Chunk& chunk, const uint64_t* touching, int) {
+      for (int b = 0; b < BLOCKS; ++b) {
+        if ((live >> b & 1) && touching[b] && !blend_block(chunk, touching[b], b, tile, count)) {
+          live &= ~(1u << b);
+        }
+      }
+    });
+  }
+
+ private:
+  // Blends the splats whose bits are set; false once all its pixels are done.
+  template <class Count>
+  bool blend_block(const Chunk& chunk, uint64_t touching, int b, const Tile& tile, const Count& count) {
+    const PixelCentres centres;
+    const Lanes x = centres.x + broadcast(tile.left + block_left(b)), y = centres.y + broadcast(tile.top + block_top(b));
+    const Lanes before = load(transmittance[b]);
+    Mask alive = broadcast(0) <= before;
+    Lanes T = max(before, broadcast(0) - before);
+    Lanes sum[C];
+    for (int c = 0; c < C; ++c) sum[c] = load(sums[c][b]);
+    for (; touching; touching &= touching - 1) {
+      const int i = __builtin_ctzll(touching);
+      const Blend step(chunk, i, x, y, T, alive);
+      count(step);
+      for (int c = 0; c < C; ++c) sum[c] = multiply_add(step.weight, broadcast(chunk.channels[c][i]), sum[c]);
+      T = step.after, alive = step.alive;
+      if (!any(alive)) break;
+    }
+    store(transmittance[b], where(alive, T, broadcast(0) - T));
+    for (int c = 0; c < C; ++c) store(sums[c][b], sum[c]);
+    return any(alive);
+  }
+};
+
+}  // namespace splatax

@@ -1,0 +1,119 @@
+// Up to 64 splats of a tile's list, field by field, and which blocks of pixels each one touches.
+#pragma once
+
+#include "binning.h"
+#include "lanes.h"
+#include "splats.h"
+
+namespace splatax {
+
+constexpr int CHUNK = 64;  // a bit each in a word
+
+struct Chunk {
+  alignas(64) float x[CHUNK], y[CHUNK], u[CHUNK], v[CHUNK], w[CHUNK], level[CHUNK], reach[CHUNK];
+  alignas(64) float x_per_y[CHUNK], y_per_x[CHUNK];
+  alignas(64) float channels[GROUP][CHUNK];
+  int size;
+
+  template <int C>
+  void gather(const Splat* splats, const Pair* pairs, int count) {
+    size = count;
+    for (int i = 0; i < count; ++i) {
+      const Splat& splat = splats[pairs[i].splat];
+      x[i] = splat.x, y[i] = splat.y, u[i] = splat.u, v[i] = splat.v, w[i] = splat.w;
+      level[i] = splat.level, reach[i] = splat.reach;
+      x_per_y[i] = splat.x_per_y, y_per_x[i] = splat.y_per_x;
+      for (int c = 0; c < C; ++c) channels[c][i] = splat.channels[c];
+    }
+    // Vectors read past the end, up to the next sixteen: nothing there reaches anything.
+    for (int i = count; i % LANES != 0; ++i) {
+      x[i] = y[i] = u[i] = v[i] = w[i] = x_per_y[i] = y_per_x[i] = 0, reach[i] = -1;
+    }
+  }
+
+  // Sets bit i of touching[b] where the ellipse of splat i reaches a pixel centre's rectangle of
+  // block b. `left` and `top` are the tile's corner.
+  //
+  // t^2 + s^2 is convex, so over a rectangle it is least on the edges that face the mean: fix one
+  // coordinate at its nearest value, slide the other to its best.
+  void find_blocks(float left, float top, uint64_t touching[BLOCKS]) const {
+    for (int b = 0; b < BLOCKS; ++b) touching[b] = 0;
+    const Lanes zero = broadcast(0), side = broadcast(BLOCK - 1);
+    for (int i = 0; i < size; i += LANES) {
+      const Lanes su = load(u + i), sv = load(v + i), sw = load(w + i), limit = load(reach + i);
+      const Lanes slope_x = load(x_per_y + i), slope_y = load(y_per_x + i);
+      const Lanes from_left = broadcast(left + 0.5f) - load(x + i), from_top = broadcast(top + 0.5f) - load(y + i);
+      for (int row = 0; row < BLOCKS_A_SIDE; ++row) {
+        const Lanes near_y = from_top + broadcast(row * BLOCK), far_y = near_y + side;
+        const Lanes edge_y = min(max(zero, near_y), far_y);
+        const Lanes ideal_x = slope_x * edge_y, v_edge = sv * edge_y, s_edge = sw * edge_y;
+        for (int column = 0; column < BLOCKS_A_SIDE; ++column) {
+          const Lanes near_x = from_left + broadcast(column * BLOCK), far_x = near_x + side;
+          const Lanes edge_x = min(max(zero, near_x), far_x);
+          const Lanes best_x = min(max(ideal_x, near_x), far_x);
+          const Lanes best_y = min(max(slope_y * edge_x, near_y), far_y);
+          const Lanes t1 = multiply_add(su, best_x, v_edge);
+          const Lanes t2 = multiply_add(su, edge_x, sv * best_y), s2 = sw * best_y;
+          const Lanes q1 = multiply_add(t1, t1, s_edge * s_edge), q2 = multiply_add(t2, t2, s2 * s2);
+          touching[row * BLOCKS_A_SIDE + column] |= static_cast<uint64_t>(bits(min(q1, q2) <= limit)) << i;
+        }
+      }
+    }
+  }
+};
+
+// Which blocks have pixels that are not done, a bit each.
+inline uint32_t live_blocks(const float (*transmittance)[LANES]) {
+  uint32_t live = 0;
+  for (int b = 0; b < BLOCKS; ++b) live |= any(broadcast(0) <= load(transmittance[b])) ? 1u << b : 0;
+  return live;
+}
+
+// Calls body(chunk, touching, first) for one chunk of a tile's list after the other, as long as a block
+// is live; `first` is the place of the chunk's first splat in the list.
+template <int C, class Body>
+SPLATAX_INLINE void each_chunk(const Tile& tile, const uint32_t& live, const Body& body) {
+  Chunk chunk;
+  uint64_t touching[BLOCKS];
+  for (int first = 0; first < tile.count && live; first += CHUNK) {
+    chunk.gather<C>(tile.splats, tile.pairs + first, std::min(CHUNK, tile.count - first));
+    chunk.find_blocks(tile.left, tile.top, touching);
+    body(chunk, touching, first);
+  }
+}
+
+// Centres of a block's pixels, from its corner.
+struct PixelCentres {
+  Lanes x, y;
+
+  SPLATAX_INLINE PixelCentres() {
+    alignas(64) float columns[LANES], rows[LANES];
+    for (int lane = 0; lane < LANES; ++lane) {
+      columns[lane] = lane % BLOCK + 0.5f, rows[lane] = lane / BLOCK + 0.5f;
+    }
+    x = load(columns), y = load(rows);
+  }
+};
+
+// What a splat does to a block of pixels; forward and backward must agree to the bit.
+struct Blend {
+  Lanes t, s;                       // along the axes of its square root
+  Lanes raw, alpha, weight, after;  // opacity G; clamped, garbage where not drawn; T alpha; T behind it
+  Mask drawn, alive;                // where it is drawn; where later splats may be
+
+  SPLATAX_INLINE Blend(const Chunk& chunk, int i, Lanes x, Lanes y, Lanes transmittance, Mask alive_before) {
+    const Lanes dx = x - broadcast(chunk.x[i]), dy = y - broadcast(chunk.y[i]);
+    t = multiply_add(broadcast(chunk.u[i]), dx, broadcast(chunk.v[i]) * dy), s = broadcast(chunk.w[i]) * dy;
+    const Lanes exponent = multiply_subtract_from(s, s, multiply_subtract_from(t, t, broadcast(chunk.level[i])));
+    const Mask seen = (broadcast(LOG2_MIN_ALPHA) <= exponent) & alive_before;
+    raw = exp2(exponent);
+    alpha = min(raw, broadcast(MAX_ALPHA));
+    const Lanes left = multiply_subtract_from(alpha, transmittance, transmittance);
+    drawn = seen & (broadcast(MIN_TRANSMITTANCE) <= left);
+    alive = and_not(alive_before, and_not(seen, drawn));
+    weight = or_zero(drawn, alpha * transmittance);
+    after = where(drawn, left, transmittance);
+  }
+};
+
+}  // namespace splatax

@@ -1,0 +1,117 @@
+// XLA custom calls of the projection and its gradient.
+#include "ffi.h"
+#include "harmonics.h"
+#include "projection.h"
+
+namespace splatax {
+namespace {
+
+// The arrays of a scene and a camera.
+struct SceneArrays {
+  const FloatArray &means, &quats, &log_scales, &opacity_logits, &sh, &camera;
+
+  // Checks them against each other; returns how many Gaussians and SH coefficients there are.
+  std::array<int64_t, 2> check(Checks& checks) const {
+    const auto [n, k, three] = checks.sizes<3>("sh", sh);
+    checks.range("the number of Gaussians", n, 0, MOST_ROWS);
+    checks.range("the number of SH coefficients", k, 1, MAX_COEFFICIENTS).shape("sh", sh, {n, k, 3});
+    int64_t bands = 1;
+    while (bands * bands < k) ++bands;
+    checks.range("the number of SH coefficients", k, bands * bands, bands * bands);
+    checks.shape("means", means, {n, 3}).shape("quats", quats, {n, 4}).shape("log_scales", log_scales, {n, 3});
+    checks.shape("opacity_logits", opacity_logits, {n}).shape("camera", camera, {CAMERA_FIELDS});
+    return {n, k};
+  }
+
+  Gaussians gaussians() const {
+    const auto size = sh.dimensions();
+    return {means.typed_data(),          quats.typed_data(), log_scales.typed_data(),
+            opacity_logits.typed_data(), sh.typed_data(),    static_cast<int>(size[0]),
+            static_cast<int>(size[1])};
+  }
+};
+
+void check_size(Checks& checks, int64_t width, int64_t height) {
+  checks.range("the width", width, 1, LONGEST_SIDE).range("the height", height, 1, LONGEST_SIDE);
+}
+
+ffi::Error project_forward(ffi::ThreadPool threads, FloatArray means, FloatArray quats, FloatArray log_scales,
+                           FloatArray opacity_logits, FloatArray sh, FloatArray camera, FloatResult means2d, FloatResult sqrt_conics,
+                           FloatResult depths, FloatResult extents, FloatResult colors, FloatResult opacities, int64_t thread_limit,
+                           int64_t width, int64_t height, float variance, int64_t fades, float least_fade) {
+  const SceneArrays scene{means, quats, log_scales, opacity_logits, sh, camera};
+  Checks checks;
+  const auto [n, k] = scene.check(checks);
+  check_size(checks, width, height);
+  checks.shape("means2d", means2d, {n, 2}).shape("sqrt_conics", sqrt_conics, {n, 3}).shape("depths", depths, {n});
+  checks.shape("extents", extents, {n, 2}).shape("colors", colors, {n, 3}).shape("opacities", opacities, {n});
+  if (checks.failed()) return checks.error("project_forward");
+  return guarded("project_forward", [&] {
+    Workers workers(threads, thread_limit);
+    const View view{camera.typed_data(), static_cast<int>(width), static_cast<int>(height),
+                    variance,            fades != 0,              least_fade};
+    project(scene.gaussians(), view,
+            {means2d->typed_data(), sqrt_conics->typed_data(), depths->typed_data(), extents->typed_data(),
+             colors->typed_data(), opacities->typed_data()},
+            workers);
+  });
+}
+
+ffi::Error project_backward(ffi::ThreadPool threads, FloatArray means, FloatArray quats, FloatArray log_scales,
+                            FloatArray opacity_logits, FloatArray sh, FloatArray camera, FloatArray extents, FloatArray d_means2d,
+                            FloatArray d_sqrt_conics, FloatArray d_depths, FloatArray d_colors, FloatArray d_opacities,
+                            FloatResult d_means, FloatResult d_quats, FloatResult d_log_scales, FloatResult d_opacity_logits,
+                            FloatResult d_sh, FloatResult d_camera, int64_t thread_limit, int64_t width, int64_t height,
+                            float variance, int64_t fades, float least_fade) {
+  const SceneArrays scene{means, quats, log_scales, opacity_logits, sh, camera};
+  Checks checks;
+  const auto [n, k] = scene.check(checks);
+  check_size(checks, width, height);
+  checks.shape("extents", extents, {n, 2}).shape("d_means2d", d_means2d, {n, 2});
+  checks.shape("d_sqrt_conics", d_sqrt_conics, {n, 3}).shape("d_depths", d_depths, {n});
+  checks.shape("d_colors", d_colors, {n, 3}).shape("d_opacities", d_opacities, {n});
+  checks.shape("d_means", d_means, {n, 3}).shape("d_quats", d_quats, {n, 4});
+  checks.shape("d_log_scales", d_log_scales, {n, 3}).shape("d_opacity_logits", d_opacity_logits, {n});
+  checks.shape("d_sh", d_sh, {n, k, 3}).shape("d_camera", d_camera, {CAMERA_FIELDS});
+  if (checks.failed()) return checks.error("project_backward");
+  return guarded("project_backward", [&] {
+    Workers workers(threads, thread_limit);
+    const View view{camera.typed_data(), static_cast<int>(width), static_cast<int>(height),
+                    variance,            fades != 0,              least_fade};
+    project_gradient(scene.gaussians(), view,
+                     {d_means2d.typed_data(), d_sqrt_conics.typed_data(), d_depths.typed_data(),
+                      d_colors.typed_data(), d_opacities.typed_data(), extents.typed_data()},
+                     {d_means->typed_data(), d_quats->typed_data(), d_log_scales->typed_data(),
+                      d_opacity_logits->typed_data(), d_sh->typed_data(), d_camera->typed_data()},
+                     workers);
+  });
+}
+
+template <class Binding>
+auto with_view(Binding binding) {
+  return std::move(binding)
+      .template Attr<int64_t>("threads")
+      .template Attr<int64_t>("width")
+      .template Attr<int64_t>("height")
+      .template Attr<float>("variance")
+      .template Attr<int64_t>("fades")
+      .template Attr<float>("least_fade");
+}
+
+}  // namespace
+}  // namespace splatax
+
+#pragma GCC visibility push(default)
+
+using namespace splatax;
+
+// (means [n 3], quats [n 4], log_scales [n 3], opacity_logits [n], sh [n k 3], camera as CameraField)
+// -> the six fields of Splats
+XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_project_forward, project_forward, with_view(results<6>(arrays<6>(call()))));
+
+// (the same six, extents, and the cotangents of means2d, sqrt_conics, depths, colors, opacities)
+// -> the gradients of the six
+XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_project_backward, project_backward,
+                              with_view(results<6>(arrays<12>(call()))));
+
+#pragma GCC visibility pop

@@ -1,0 +1,155 @@
+// XLA custom calls of the rasterizer: image, gradient, and the count of slots.
+#include "ffi.h"
+#include "rasterize.h"
+#include "roofline.h"
+#include "scratch_pool.h"
+
+namespace splatax {
+namespace {
+
+// The six arrays that describe the splats of a view.
+struct SplatArrays {
+  const FloatArray &means2d, &sqrt_conics, &depths, &extents, &opacities, &channels;
+
+  // Checks them against each other; returns how many splats and channels there are.
+  std::array<int64_t, 2> check(Checks& checks) const {
+    const auto [n, c] = checks.sizes<2>("channels", channels);
+    checks.range("the number of splats", n, 0, MOST_ROWS).range("the number of channels", c, 0, MOST_ROWS);
+    checks.shape("means2d", means2d, {n, 2}).shape("sqrt_conics", sqrt_conics, {n, 3}).shape("depths", depths, {n});
+    checks.shape("extents", extents, {n, 2}).shape("opacities", opacities, {n});
+    return {n, c};
+  }
+
+  Input input(int64_t width, int64_t height) const {
+    const auto size = channels.dimensions();
+    return {means2d.typed_data(),
+            sqrt_conics.typed_data(),
+            depths.typed_data(),
+            extents.typed_data(),
+            opacities.typed_data(),
+            channels.typed_data(),
+            static_cast<int>(size[0]),
+            static_cast<int>(size[1]),
+            static_cast<int>(width),
+            static_cast<int>(height)};
+  }
+};
+
+void check_size(Checks& checks, int64_t width, int64_t height, int64_t max_pairs) {
+  checks.range("the width", width, 1, LONGEST_SIDE).range("the height", height, 1, LONGEST_SIDE);
+  checks.range("the number of tiles", ((width + TILE - 1) / TILE) * ((height + TILE - 1) / TILE), 1, INT32_MAX / 2);
+  checks.range("max_pairs", max_pairs, 1, INT32_MAX / 2);
+}
+
+ffi::Error rasterize_forward(ffi::ThreadPool threads, FloatArray means2d, FloatArray sqrt_conics, FloatArray depths,
+                             FloatArray extents, FloatArray opacities, FloatArray channels, FloatResult sums, FloatResult alpha,
+                             Counts ticket, int64_t thread_limit, int64_t max_pairs, int64_t gradient_follows) {
+  const SplatArrays splats{means2d, sqrt_conics, depths, extents, opacities, channels};
+  Checks checks;
+  const auto [n, c] = splats.check(checks);
+  const auto [h, w] = checks.sizes<2>("alpha", alpha);
+  check_size(checks, w, h, max_pairs);
+  checks.shape("sums", sums, {h, w, c}).shape("ticket", ticket, {});
+  if (checks.failed()) return checks.error("rasterize_forward");
+  return guarded("rasterize_forward", [&, w = w, h = h] {
+    Workers workers(threads, thread_limit);
+    auto scratch = pool.take();
+    scratch->ticket = 0;
+    rasterize(splats.input(w, h), {sums->typed_data(), alpha->typed_data()}, workers, *scratch, max_pairs);
+    *ticket->typed_data() = scratch->ticket = pool.new_ticket();
+    scratch->expected = gradient_follows != 0;
+    pool.give_back(std::move(scratch));
+  });
+}
+
+ffi::Error rasterize_backward(ffi::ThreadPool threads, FloatArray means2d, FloatArray sqrt_conics, FloatArray depths,
+                              FloatArray extents, FloatArray opacities, FloatArray channels, FloatArray sums, FloatArray alpha,
+                              Ticket ticket, FloatArray d_sums, FloatArray d_alpha, FloatResult d_means2d,
+                              FloatResult d_sqrt_conics, FloatResult d_opacities, FloatResult d_channels, FloatResult d_pull,
+                              int64_t thread_limit, int64_t max_pairs) {
+  const SplatArrays splats{means2d, sqrt_conics, depths, extents, opacities, channels};
+  Checks checks;
+  const auto [n, c] = splats.check(checks);
+  const auto [h, w] = checks.sizes<2>("alpha", alpha);
+  check_size(checks, w, h, max_pairs);
+  checks.shape("sums", sums, {h, w, c}).shape("ticket", ticket, {});
+  checks.shape("d_sums", d_sums, {h, w, c}).shape("d_alpha", d_alpha, {h, w});
+  checks.shape("d_means2d", d_means2d, {n, 2}).shape("d_sqrt_conics", d_sqrt_conics, {n, 3});
+  checks.shape("d_opacities", d_opacities, {n}).shape("d_channels", d_channels, {n, c});
+  const bool pulled = d_pull->element_count() != 0;
+  if (pulled) checks.shape("d_pull", d_pull, {n, 2}).range("channels beside pull", c, 0, GROUP);
+  if (checks.failed()) return checks.error("rasterize_backward");
+  return guarded("rasterize_backward", [&, w = w, h = h] {
+    Workers workers(threads, thread_limit);
+    const Input input = splats.input(w, h);
+    auto scratch = pool.take(*ticket.typed_data(), input);
+    const bool binned = scratch != nullptr;
+    if (!binned) scratch = pool.take();
+    scratch->ticket = 0;
+    scratch->expected = false;
+    rasterize_gradient(
+        input, {sums.typed_data(), alpha.typed_data(), d_sums.typed_data(), d_alpha.typed_data()},
+        {d_means2d->typed_data(), d_sqrt_conics->typed_data(), d_opacities->typed_data(), d_channels->typed_data(),
+         pulled ? d_pull->typed_data() : nullptr},
+        workers, *scratch, binned, max_pairs);
+    pool.give_back(std::move(scratch));
+  });
+}
+
+ffi::Error slots(ffi::ThreadPool threads, FloatArray means2d, FloatArray sqrt_conics, FloatArray depths, FloatArray extents,
+                 FloatArray opacities, FloatArray channels, Counts counts, int64_t thread_limit, int64_t max_pairs,
+                 int64_t width, int64_t height) {
+  const SplatArrays splats{means2d, sqrt_conics, depths, extents, opacities, channels};
+  Checks checks;
+  splats.check(checks);
+  check_size(checks, width, height, max_pairs);
+  checks.shape("counts", counts, {((width + TILE - 1) / TILE) * ((height + TILE - 1) / TILE), 2});
+  if (checks.failed()) return checks.error("slots");
+  return guarded("slots", [&] {
+    Workers workers(threads, thread_limit);
+    Scratch scratch;
+    auto* pairs = reinterpret_cast<int32_t(*)[2]>(counts->typed_data());
+    count_slots(splats.input(width, height), pairs, workers, scratch, max_pairs);
+  });
+}
+
+ffi::Error work(ffi::ThreadPool threads, FloatResult sums, int64_t, int64_t rounds) {
+  Workers workers(threads, static_cast<int64_t>(sums->element_count()));
+  std::fill_n(sums->typed_data(), sums->element_count(), 0.0f);
+  multiply_adds(rounds, sums->typed_data(), workers);
+  return ffi::Error::Success();
+}
+
+template <class Binding>
+auto with_settings(Binding binding) {
+  return std::move(binding).template Attr<int64_t>("threads").template Attr<int64_t>("max_pairs");
+}
+
+}  // namespace
+}  // namespace splatax
+
+#pragma GCC visibility push(default)
+
+using namespace splatax;
+
+// (means2d [n 2], sqrt_conics [n 3], depths [n], extents [n 2], opacities [n], channels [n c])
+// -> (sums [h w c], alpha [h w], ticket [])
+XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_rasterize_forward, rasterize_forward,
+                              with_settings(results<2>(arrays<6>(call())).Ret<Ticket>())
+                                  .Attr<int64_t>("gradient_follows"));
+
+// (the same six, sums, alpha, ticket, d_sums, d_alpha)
+// -> (d_means2d, d_sqrt_conics, d_opacities, d_channels, d_pull [n 2], or [0 2] where it is not wanted)
+XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_rasterize_backward, rasterize_backward,
+                              with_settings(results<5>(arrays<2>(arrays<8>(call()).Arg<Ticket>()))));
+
+// (the six of splatax_rasterize_forward) -> counts [tiles 2]
+XLA_FFI_DEFINE_HANDLER_SYMBOL(
+    splatax_slots, slots,
+    with_settings(arrays<6>(call()).Ret<Ticket>()).Attr<int64_t>("width").Attr<int64_t>("height"));
+
+// () -> a number for each thread
+XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_multiply_adds, work,
+                              results<1>(call()).Attr<int64_t>("threads").Attr<int64_t>("rounds"));
+
+#pragma GCC visibility pop

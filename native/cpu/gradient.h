@@ -1,0 +1,111 @@
+// The gradient of a tile, front to back as the blend went, from the sums that it ended with.
+//
+// With s_i = <c_i, dL/dC> + dL/dA, for sums C and alpha A, and weights w_i = T_i alpha_i, the sum of
+// all w_i s_i is known beforehand: <C, dL/dC> + A dL/dA. What lies behind splat i is that, less what
+// was blended up to it, so
+//
+//   g_i = alpha_i dL/d alpha_i = w_i s_i - alpha_i / (1 - alpha_i) sum_{j>i} w_j s_j .
+//
+// Everything that a splat's shape needs are the moments of g over pixels: see `add_moments` in
+// gradient.cc.
+#pragma once
+
+#include "reduction.h"
+#include "tiles.h"
+
+namespace splatax {
+
+constexpr int MOMENTS = 6;           // g, g x, g y, g x^2, g x y, g y^2, about the tile's centre
+constexpr int PULL = MOMENTS + GROUP;  // where sums of |dL/dx|, |dL/dy| are, if asked for
+constexpr int PARTIALS = PULL + 2;     // floats for a pair: the moments, dL/d channels, and those
+
+// The partials of a pair: its sums, with the moments moved from the tile's centre to the splat's mean,
+// which is at (-dx, -dy) of it. Number by number, because vectors cannot be read from fresh scalars
+// at once, nor the other way round.
+SPLATAX_INLINE void write_partials(const float* sums, float dx, float dy, float* partials) {
+  const float g = sums[0], gx = sums[1] + dx * g, gy = sums[2] + dy * g;
+  partials[0] = g, partials[1] = gx, partials[2] = gy;
+  partials[3] = sums[3] + dx * (sums[1] + gx);
+  partials[4] = sums[4] + dx * sums[2] + dy * gx;
+  partials[5] = sums[5] + dy * (sums[2] + gy);
+  for (int k = MOMENTS; k < PARTIALS; ++k) partials[k] = sums[k];
+}
+
+template <int C, bool PULLED>
+struct TileGradient {
+  alignas(64) float transmittance[BLOCKS][LANES];  // as in `TileImage`
+  alignas(64) float behind[BLOCKS][LANES];         // sum of w_j s_j over splats yet to come
+  alignas(64) float d_sums[C][BLOCKS][LANES];
+  alignas(64) float d_alpha[BLOCKS][LANES];
+
+  // For each pair: writes its partials, and sets its flag, if any pixel of the tile sees the splat.
+  void accumulate(const Tile& tile, float (*partials)[PARTIALS], uint8_t* flags) {
+    uint32_t live = live_blocks(transmittance);
+    each_chunk<C>(tile, live, [&](const Chunk& chunk, const uint64_t* touching, int first) {
+      uint16_t blocks[CHUNK] = {};
+      for (int b = 0; b < BLOCKS; ++b) {
+        if (!(live >> b & 1)) continue;
+        for (uint64_t left_over = touching[b]; left_over; left_over &= left_over - 1) {
+          blocks[__builtin_ctzll(left_over)] |= static_cast<uint16_t>(1u << b);
+        }
+      }
+      for (int i = 0; i < chunk.size && live; ++i) {
+        if (!(blocks[i] & live)) continue;
+        const int32_t index = tile.pairs[first + i].index;
+        alignas(64) float sums[LANES];
+        live = accumulate_splat(chunk, i, blocks[i] & live, live, tile, sums);
+        write_partials(sums, tile.left + TILE / 2 - chunk.x[i], tile.top + TILE / 2 - chunk.y[i], partials[index]);
+        flags[index] = 1;
+      }
+    });
+  }
+
+ private:
+  // Sums over some blocks for one splat; returns which blocks still have pixels that are not done.
+  uint32_t accumulate_splat(const Chunk& chunk, int i, uint32_t blocks, uint32_t live, const Tile& tile,
+                            float* sums) {
+    const PixelCentres centres;
+    constexpr int SUMS = PULLED ? PARTIALS : MOMENTS + C;
+    Lanes total[SUMS];
+    for (Lanes& sum : total) sum = broadcast(0);
+    for (; blocks; blocks &= blocks - 1) {
+      const int b = __builtin_ctz(blocks);
+      const int column = block_left(b), row = block_top(b);
+      const Lanes before = load(transmittance[b]);
+      const Mask alive = broadcast(0) <= before;
+      const Lanes T = max(before, broadcast(0) - before);
+      const Blend step(chunk, i, centres.x + broadcast(tile.left + column), centres.y + broadcast(tile.top + row), T, alive);
+
+      Lanes value = load(d_alpha[b]);
+      for (int c = 0; c < C; ++c) {
+        const Lanes d = load(d_sums[c][b]);
+        value = multiply_add(broadcast(chunk.channels[c][i]), d, value);
+        total[MOMENTS + c] = multiply_add(step.weight, d, total[MOMENTS + c]);
+      }
+      const Lanes own = step.weight * value, still_behind = load(behind[b]) - own;
+      // Where alpha is clamped it does not depend on the splat.
+      const Mask flexible = step.drawn & (step.raw <= broadcast(MAX_ALPHA));
+      const Lanes odds = step.alpha * reciprocal(broadcast(1) - step.alpha);
+      const Lanes g = or_zero(flexible, multiply_subtract_from(odds, still_behind, own));
+      const Lanes x = centres.x + broadcast(column - TILE / 2), y = centres.y + broadcast(row - TILE / 2);
+      const Lanes gx = g * x, gy = g * y;
+      total[0] = total[0] + g, total[1] = total[1] + gx, total[2] = total[2] + gy;
+      total[3] = multiply_add(gx, x, total[3]);
+      total[4] = multiply_add(gx, y, total[4]);
+      total[5] = multiply_add(gy, y, total[5]);
+      if (PULLED) {
+        const Lanes across = multiply_add(broadcast(chunk.v[i]), step.t, broadcast(chunk.w[i]) * step.s);
+        total[SUMS - 2] = total[SUMS - 2] + absolute(g * broadcast(chunk.u[i]) * step.t);
+        total[SUMS - 1] = total[SUMS - 1] + absolute(g * across);
+      }
+
+      store(transmittance[b], where(step.alive, step.after, broadcast(0) - step.after));
+      store(behind[b], still_behind);  // own is zero where it is not drawn
+      if (!any(step.alive)) live &= ~(1u << b);
+    }
+    add_up<SUMS>(total, sums);
+    return live;
+  }
+};
+
+}  // namespace splatax

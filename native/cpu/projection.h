@@ -1,0 +1,49 @@
+// EWA projection of sixteen Gaussians at a time, as in splatax/projection.py, and its gradient.
+#pragma once
+
+#include "parallel.h"
+
+namespace splatax {
+
+struct Gaussians {
+  const float* means;           // [count 3]
+  const float* quats;           // [count 4]
+  const float* log_scales;      // [count 3]
+  const float* opacity_logits;  // [count]
+  const float* sh;              // [count coefficients 3]
+  int count, coefficients;
+};
+
+// The numbers of a camera; gradients for them have the same form.
+enum CameraField { FX, FY, CX, CY, ROTATION, TRANSLATION = ROTATION + 9, POSITION = TRANSLATION + 3,
+                   CAMERA_FIELDS = POSITION + 3 };
+
+struct View {
+  const float* camera;  // [CAMERA_FIELDS]; rotation row by row
+  int width, height;
+  float variance;    // of the low-pass, pixels^2
+  bool fades;        // whether the low-pass multiplies opacity by a factor,
+  float least_fade;  // which is at least this
+};
+
+// Rows of `Splats`.
+struct Projected {
+  float *means2d, *sqrt_conics, *depths, *extents, *colors, *opacities;
+};
+
+// dL / d of those that have one.
+struct ProjectedCotangents {
+  const float *means2d, *sqrt_conics, *depths, *colors, *opacities;
+  const float* extents;  // of the forward pass: zero where culled
+};
+
+struct GaussianGradients {
+  float *means, *quats, *log_scales, *opacity_logits, *sh, *camera;
+};
+
+void project(const Gaussians& gaussians, const View& view, const Projected& splats, Workers& workers);
+
+void project_gradient(const Gaussians& gaussians, const View& view, const ProjectedCotangents& cotangents,
+                      const GaussianGradients& gradients, Workers& workers);
+
+}  // namespace splatax

@@ -1,0 +1,38 @@
+"""The CPU backend: C++ with SIMD for the instruction set of the machine (`native/cpu/` of the repository).
+
+Results do not depend on the number of threads. Single precision only.
+"""
+
+from functools import partial
+
+from splatax.backends.cpu import library
+from splatax.backends.cpu.composite import MAX_PAIRS, composite
+from splatax.backends.cpu.library import ALL_THREADS, Build
+from splatax.backends.cpu.photometric import photometric
+from splatax.backends.cpu.projection import project
+from splatax.backends.protocol import Kernels
+
+
+def kernels(
+    instructions: str | None = None, threads: int = ALL_THREADS, max_pairs: int = MAX_PAIRS
+) -> Kernels:
+    """Returns the native kernels for an instruction set. Settings other than the defaults are for tests.
+
+    Args:
+        instructions: one of `library.INSTRUCTIONS`; None for the best that this machine has.
+        threads: how many threads of XLA's pool to use; 0 for all.
+        max_pairs: the number of (splat, tile) pairs that are listed at a time.
+    """
+    build = Build(instructions, threads)
+    return Kernels(
+        name="cpu" if instructions is None else f"cpu-{instructions}",
+        project=partial(project, build=build),
+        composite=partial(composite, build=build, max_pairs=max_pairs),
+        photometric=partial(photometric, build=build),
+        why_unavailable=partial(library.why_unavailable, instructions),
+        dtypes=("float32",),
+    )
+
+
+BEST = kernels()
+AVX512, AVX2, BASELINE = (kernels(instructions) for instructions in library.INSTRUCTIONS)

@@ -1,0 +1,79 @@
+"""The native rasterizer and its gradient; see `splatax.backends.reference` for what it computes."""
+
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from splatax.backends.cpu.library import Build
+from splatax.splats import Splats
+
+MAX_PULLED_CHANNELS = 4  # GROUP in native/: with more, no pixel's whole gradient is ever known
+MAX_PAIRS = 2**22  # (splat, tile) pairs in a round: at most 260 MB, however large the scene
+
+
+def composite(
+    splats: Splats, channels: Float[Array, "n c"], build: Build, max_pairs: int
+) -> tuple[Float[Array, "h w c"], Float[Array, "h w"]]:
+    """Blends `channels` of the splats, nearest first, into every pixel; see `splatax.rendering.composite`.
+
+    Raises:
+        ValueError: if `pull` is asked for with more channels than the kernel blends together.
+    """
+    if splats.pull is not None and channels.shape[1] > MAX_PULLED_CHANNELS:
+        raise ValueError(
+            f"the native rasterizer gives the gradient of `pull` for up to {MAX_PULLED_CHANNELS} "
+            f"channels, not for {channels.shape[1]}: draw the others apart, or choose the backend 'xla'"
+        )
+    return _composite(splats, channels, build, max_pairs)
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(2, 3))
+def _composite(splats: Splats, channels: Float[Array, "n c"], build: Build, max_pairs: int):
+    return _draw(splats, channels, build, max_pairs, gradient_follows=False)[:2]
+
+
+def _forward(splats: Splats, channels: Float[Array, "n c"], build: Build, max_pairs: int):
+    image = _draw(splats, channels, build, max_pairs, gradient_follows=True)
+    return tuple(image[:2]), (splats, channels, *image)
+
+
+def _draw(
+    splats: Splats, channels: Float[Array, "n c"], build: Build, max_pairs: int, gradient_follows: bool
+) -> tuple[Array, Array, Array]:
+    """Returns sums, alpha, and a ticket with which the gradient finds the lists of tiles again."""
+    size = (splats.height, splats.width)
+    ticket_type = jax.ShapeDtypeStruct((), jnp.int32)
+    sums, alpha, ticket = build.call(
+        "splatax_rasterize_forward",
+        [(*size, channels.shape[1]), size, ticket_type],
+        _inputs(splats, channels),
+        max_pairs=np.int64(max_pairs),
+        gradient_follows=np.int64(gradient_follows),
+    )
+    return sums, alpha, ticket
+
+
+def _backward(build: Build, max_pairs: int, residuals, cotangents):
+    splats, channels, *image = residuals
+    shapes = [splats.means2d.shape, splats.sqrt_conics.shape, splats.opacities.shape, channels.shape]
+    means2d, sqrt_conics, opacities, d_channels, pull = build.call(
+        "splatax_rasterize_backward",
+        [*shapes, (0, 2) if splats.pull is None else splats.pull.shape],  # empty where not asked for
+        [*_inputs(splats, channels), *image, *cotangents],
+        max_pairs=np.int64(max_pairs),
+    )
+    nothing = jax.tree.map(jnp.zeros_like, splats)
+    d_splats = replace(nothing, means2d=means2d, sqrt_conics=sqrt_conics, opacities=opacities)
+    return replace(d_splats, pull=None if splats.pull is None else pull), d_channels
+
+
+_composite.defvjp(_forward, _backward)
+
+
+def _inputs(splats: Splats, channels: Float[Array, "n c"]) -> list[Array]:
+    shape = [splats.means2d, splats.sqrt_conics, splats.depths, splats.extents, splats.opacities]
+    return [*shape, channels]

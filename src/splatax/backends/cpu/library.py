@@ -1,0 +1,122 @@
+"""Loads the native library (C++, in `native/cpu/` of the repository) and calls it from JAX.
+
+There is a build for each instruction set beside this file. The builds know nothing of Python and link to
+nothing: XLA calls them as foreign functions.
+"""
+
+import ctypes
+import platform
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import ManualAxisType, NamedSharding, PartitionSpec
+from jaxtyping import Array
+
+from splatax.varying import vary_over, varying_axes
+
+FOLDER = Path(__file__).parent
+SUFFIX = {"Darwin": ".dylib", "Windows": ".dll"}.get(platform.system(), ".so")
+INSTRUCTIONS = ("avx512", "avx2", "baseline")  # fastest first; a machine that runs one runs those after it
+ALL_THREADS = 0
+
+
+@dataclass(frozen=True)
+class Build:
+    """One build of the library, and how many threads of XLA's pool it may use.
+
+    Attributes:
+        instructions: its instruction set; None for the best that this machine has.
+        threads: 0 for all. Results do not depend on it.
+    """
+
+    instructions: str | None = None
+    threads: int = ALL_THREADS
+
+    def call(
+        self,
+        symbol: str,
+        shapes: Sequence[tuple[int, ...] | jax.ShapeDtypeStruct],
+        arrays: Sequence[Array],
+        **options: np.int64 | np.float32,
+    ) -> Sequence[Array]:
+        """Calls a function of the library.
+
+        Args:
+            symbol: its name.
+            shapes: of the arrays that it returns; float32 unless they say otherwise.
+            arrays: float32, but for tickets that a function has returned. The library refuses other
+                dtypes, and shapes that do not fit together.
+            options: further arguments, static under `jit`.
+        """
+        target = register(self.instructions or best_instructions(), symbol)
+        axes = varying_axes(arrays)
+        results = [_result(shape, axes) for shape in shapes]
+        return jax.ffi.ffi_call(target, results, vmap_method="sequential")(
+            *vary_over(axes, tuple(arrays)), threads=np.int64(self.threads), **options
+        )
+
+
+def _result(shape: tuple[int, ...] | jax.ShapeDtypeStruct, axes: frozenset[str]) -> jax.ShapeDtypeStruct:
+    """Returns the type of a result, which varies over the mesh axes that the arguments vary over."""
+    if not isinstance(shape, jax.ShapeDtypeStruct):
+        shape = jax.ShapeDtypeStruct(shape, jnp.float32)
+    if not axes:
+        return shape
+    everywhere = NamedSharding(jax.sharding.get_abstract_mesh(), PartitionSpec())
+    return jax.ShapeDtypeStruct(
+        shape.shape, shape.dtype, sharding=everywhere, manual_axis_type=ManualAxisType(varying=axes)
+    )
+
+
+def why_unavailable(instructions: str | None) -> str | None:
+    """Returns the reason why a build cannot run here, or None if it can.
+
+    Args:
+        instructions: of the build; None asks whether any build can.
+    """
+    if jax.default_backend() != "cpu":
+        return f"it runs on CPUs, and JAX runs on {jax.default_backend()} here"
+    if not library_path("baseline").exists():
+        return (
+            "this installation has no native library, because it could not be built; install a C++ "
+            "compiler, then splatax again"
+        )
+    best = best_instructions()
+    if instructions is not None and instructions not in INSTRUCTIONS[INSTRUCTIONS.index(best) :]:
+        return f"this machine has no {instructions}"
+    if not library_path(instructions or best).exists():
+        return f"there is no build of the native library for {instructions or best}"
+    return None
+
+
+@cache
+def register(instructions: str, symbol: str) -> str:
+    """Registers a function of a build with XLA, and returns the name it has there."""
+    target = f"{symbol}_{instructions}"
+    function = getattr(library(instructions), symbol)
+    jax.ffi.register_ffi_target(target, jax.ffi.pycapsule(function), platform="cpu")
+    return target
+
+
+@cache
+def library(instructions: str) -> ctypes.CDLL:
+    """Loads a build."""
+    return ctypes.CDLL(str(library_path(instructions)))
+
+
+def library_path(instructions: str) -> Path:
+    """Returns where a build lies."""
+    return FOLDER / f"libsplatax_{instructions}{SUFFIX}"
+
+
+@cache
+def best_instructions() -> str:
+    """Returns the fastest instruction set that this machine has."""
+    function = library("baseline").splatax_best_instructions
+    function.restype = ctypes.c_char_p
+    return function().decode()

@@ -1,0 +1,7 @@
+"""The portable backend: plain JAX for CPU, GPU and TPU."""
+
+from splatax import losses, projection
+from splatax.backends.portable.composite import composite
+from splatax.backends.protocol import Kernels
+
+KERNELS = Kernels("xla", projection.project, composite, losses.photometric)

@@ -1,0 +1,172 @@
+"""Which splats touch which tile, in rounds of bounded size, so that nothing is ever capped.
+
+Splats are sorted by depth once. Laying the tile boxes of all of them end to end gives a long row
+of slots, one per (splat, tile); a round takes the next `capacity` slots and sorts them by tile.
+Since blending goes front to back and carries its state, rounds add up to the exact image however
+many slots there are, in memory that does not grow with them.
+
+    splat (by depth)   0      1          2   3
+    slots              t0 t1  t0 t1 t2   t1  t2 t3        <- sorted by tile: lists of one round
+                       |--- round 0 ---| |- round 1 -|
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from splatax.backends.portable.sorting import bits_for, depth_order, stable_order
+from splatax.splats import MIN_ALPHA, Splats
+
+TILE = 8  # pixels a side: 16 has fewer slots, but 2.4 times the pixels to evaluate
+SLOTS_PER_TILE = 64  # of a full round, so that the chunks which tiles are blended in are filled
+SLOTS_PER_SPLAT = 2
+CAPACITY_BITS = (12, 22)  # least and most slots in a round; 2^22 take about 200 MB
+MAX_SLOTS = 2**31 - 1  # of a slab, counted in int32
+
+
+class Grid(NamedTuple):
+    """The tiles of an image, in rows; the last row and column may stick out of it."""
+
+    width: int
+    height: int
+
+    @property
+    def columns(self) -> int:
+        return -(-self.width // TILE)
+
+    @property
+    def rows(self) -> int:
+        return -(-self.height // TILE)
+
+    @property
+    def tiles(self) -> int:
+        return self.columns * self.rows
+
+
+class Boxes(NamedTuple):
+    """Splats by depth, and the rectangle of tiles that each may touch."""
+
+    order: Int[Array, " n"]  # rows of the `Splats`, nearest first, culled ones last
+    corner: Int[Array, "n 2"]  # first tile column and row
+    extent: Int[Array, "n 2"]  # how many columns and rows; zero when culled
+    ellipses: Float[Array, "n 8"]  # for `touches_tile`
+
+
+class Cursor(NamedTuple):
+    """Where the next round starts: a slab of splats, and a slot within it."""
+
+    slab: Int[Array, ""]
+    slot: Int[Array, ""]
+
+    @classmethod
+    def start(cls) -> "Cursor":
+        return cls(jnp.int32(0), jnp.int32(0))
+
+
+class Lists(NamedTuple):
+    """The slots of a round: tile t holds ranks[starts[t] : starts[t + 1]], nearest first."""
+
+    ranks: Int[Array, " capacity"]  # positions in the depth order
+    starts: Int[Array, " tiles+1"]
+
+
+class Round(NamedTuple):
+    """The lists of a round, and where the one after it starts."""
+
+    lists: Lists
+    following: Cursor
+
+
+def tile_boxes(splats: Splats, grid: Grid) -> Boxes:
+    """The depth order, and the tiles whose pixel centres each splat's extent covers."""
+    size = jnp.array([grid.width, grid.height], splats.means2d.dtype)
+    first = jnp.maximum(jnp.ceil(splats.means2d - splats.extents - 0.5), 0)
+    last = jnp.minimum(jnp.floor(splats.means2d + splats.extents - 0.5), size[None, :] - 1)
+    visible = jnp.all((splats.extents > 0) & (last >= first), axis=1)
+    order = depth_order(splats.depths, visible)
+    shown = visible[:, None]
+    first, last = (jnp.where(shown, pixel, 0).astype(jnp.int32) // TILE for pixel in (first, last))
+    return Boxes(
+        order, first[order], jnp.where(shown, last - first + 1, 0)[order], ellipses_of(splats)[order]
+    )
+
+
+def ellipses_of(splats: Splats) -> Float[Array, "n 8"]:
+    """(mean x, y, u, v, w, dx/dy and dy/dx where the ellipse is nearest to a line, reach^2)."""
+    u, v, w = splats.sqrt_conics.T
+    reach = 2 * jnp.log(jnp.maximum(splats.opacities, MIN_ALPHA) / MIN_ALPHA)
+    # A margin for rounding: a tile too many costs time, one too few would cost pixels.
+    columns = [u, v, w, -v / u, -u * v / (v * v + w * w), 1.001 * reach + 1e-3]
+    return jnp.concatenate([splats.means2d, jnp.stack(columns, axis=1)], axis=1)
+
+
+def capacity_of_round(splats: int, grid: Grid) -> int:
+    """How many slots a round takes: a matter of speed alone."""
+    wanted = bits_for(max(SLOTS_PER_TILE * grid.tiles, SLOTS_PER_SPLAT * splats))
+    return 1 << min(max(wanted, CAPACITY_BITS[0]), CAPACITY_BITS[1])
+
+
+def slabs_of(splats: int, grid: Grid) -> tuple[int, int]:
+    """How many slabs of how many splats keep the slots of each countable in int32; mostly one."""
+    size = min(splats, MAX_SLOTS // grid.tiles)
+    return -(-splats // size), size
+
+
+def bin_round(cursor: Cursor, boxes: Boxes, grid: Grid) -> Round:
+    """Lists the next slots of a slab by tile, without those whose ellipse misses the tile."""
+    n = boxes.order.shape[0]
+    _, size = slabs_of(n, grid)
+    capacity = capacity_of_round(n, grid)
+    base = jnp.minimum(cursor.slab * size, n - size)
+    own = base + jnp.arange(size, dtype=jnp.int32) >= cursor.slab * size
+    count = jnp.where(
+        own, jnp.prod(lax.dynamic_slice_in_dim(boxes.extent, base, size), axis=1, dtype=jnp.int32), 0
+    )
+    ends = jnp.cumsum(count, dtype=jnp.int32) - cursor.slot
+    starts, left = ends - count, ends[-1]
+
+    # The rank of a slot is the number of splats that begin at or before it.
+    begun = jnp.sum(~own | ((count > 0) & (starts <= 0)), dtype=jnp.int32)
+    begins = jnp.where((count > 0) & (starts > 0), starts, capacity)
+    begin_here = jnp.zeros(capacity, jnp.int32).at[begins].set(1, mode="drop")
+    # The barriers here and below keep XLA from computing this again inside every gather.
+    ranks = lax.optimization_barrier(base + begun - 1 + jnp.cumsum(begin_here, dtype=jnp.int32))
+
+    slot = jnp.arange(capacity, dtype=jnp.int32)
+    inside = slot - starts[ranks - base]
+    columns = jnp.maximum(boxes.extent[ranks, 0], 1)
+    down = lax.div(inside, columns)
+    column = boxes.corner[ranks, 0] + inside - down * columns
+    row = boxes.corner[ranks, 1] + down
+    corner = (jnp.stack([column, row], axis=1) * TILE).astype(boxes.ellipses.dtype)
+    hit = (slot < left) & touches_tile(boxes.ellipses[ranks], corner)
+    tile = jnp.where(hit, row * grid.columns + column, grid.tiles).astype(jnp.uint32)
+    tile = lax.optimization_barrier(tile)
+    order = stable_order(tile)
+    tile_starts = jnp.searchsorted(tile[order], jnp.arange(grid.tiles + 1, dtype=jnp.uint32))
+
+    done = left <= capacity
+    following = Cursor(cursor.slab + done.astype(jnp.int32), jnp.where(done, 0, cursor.slot + capacity))
+    return Round(Lists(ranks[order], tile_starts.astype(jnp.int32)), following)
+
+
+def touches_tile(ellipses: Float[Array, "m 8"], corner: Float[Array, "m 2"]) -> Bool[Array, " m"]:
+    """Whether alpha reaches 1/255 in the rectangle of a tile's pixel centres.
+
+    The squared Mahalanobis distance is convex, so over a rectangle it is least on the edges that
+    face the mean: fix one coordinate at its nearest value, slide the other to its best.
+    """
+    x, y, u, v, w, x_per_y, y_per_x, reach = ellipses.T
+    left, top = corner.T
+    near_x, far_x = left + 0.5 - x, left + (TILE - 0.5) - x
+    near_y, far_y = top + 0.5 - y, top + (TILE - 0.5) - y
+    edge_x, edge_y = jnp.clip(0, near_x, far_x), jnp.clip(0, near_y, far_y)
+    best_x = jnp.clip(x_per_y * edge_y, near_x, far_x)
+    best_y = jnp.clip(y_per_x * edge_x, near_y, far_y)
+
+    def distance(dx, dy):
+        return jnp.square(u * dx + v * dy) + jnp.square(w * dy)
+
+    return jnp.minimum(distance(edge_x, best_y), distance(best_x, edge_y)) <= reach

@@ -1,0 +1,163 @@
+"""The blend of a chunk of splats into a batch of tiles, and its gradient.
+
+Both go front to back and take the same decisions. The gradient needs nothing stored but the sums
+that the blend ended with: with values s_i = <c_i, dL/dC> and weights w_i = T_i alpha_i,
+
+    alpha_i dL/d alpha_i = w_i s_i - alpha_i / (1 - alpha_i) (sum_{j>i} w_j s_j)
+
+and the sum over what lies behind is the total less what was blended so far.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from splatax.backends.portable.binning import TILE
+from splatax.backends.portable.tiles import PIXELS, Chunk, X, Y
+from splatax.splats import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE
+
+SHAPE = 6  # columns of a table row before its channels
+GROUP = 4  # splats whose running product or sum is written out
+CENTRE = TILE / 2
+MOMENTS = np.stack(  # of a tile's pixels about its centre, where they are small numbers
+    [
+        np.ones(PIXELS),
+        X - CENTRE,
+        Y - CENTRE,
+        (X - CENTRE) ** 2,
+        (X - CENTRE) * (Y - CENTRE),
+        (Y - CENTRE) ** 2,
+    ],
+    axis=1,
+)
+
+
+def blend(
+    state: tuple[Float[Array, "b p"], Float[Array, "b c p"]], shared: None, chunk: Chunk
+) -> tuple[tuple[Float[Array, "b p"], Float[Array, "b c p"]], None]:
+    """Adds a chunk to (transmittance, sums of weight times channel)."""
+    transmittance, sums = state
+    alphas = lax.optimization_barrier(clamp(raw_alphas(chunk)))
+    weights, transmittance = blend_weights(alphas, transmittance)
+    weights = lax.optimization_barrier(weights)
+    # Written out over k: XLA's small batched matmul is several times slower on CPU.
+    for k in range(weights.shape[1]):
+        sums = sums + chunk.rows[:, k, SHAPE:, None] * weights[:, k, None, :]
+    return (transmittance, sums), None
+
+
+def blend_gradient(
+    state: tuple[Float[Array, "b p"], Float[Array, "b p"], Float[Array, "b c p"]],
+    gradients: Float[Array, "rows t"],
+    chunk: Chunk,
+    watched: bool,
+) -> tuple[tuple[Float[Array, "b p"], Float[Array, "b p"], Float[Array, "b c p"]], Float[Array, "rows t"]]:
+    """Adds what a chunk contributes to the gradients of its splats.
+
+    Args:
+        state: transmittance, the value that lies behind, dL/d sums.
+        gradients: for each row, the moments sum g, sum g dx, sum g dy, sum g dx^2, sum g dx dy,
+            sum g dy^2 over pixels, where g = alpha dL/d alpha; then dL/d channels; then, if
+            watched, sum |dL/dx|, sum |dL/dy|.
+        chunk: the splats.
+        watched: whether the gradient of `Splats.pull` is asked for.
+    """
+    transmittance, behind, d_sums = state
+    raw = lax.optimization_barrier(raw_alphas(chunk))
+    alphas = clamp(raw)
+    weights, transmittance = blend_weights(alphas, transmittance)
+    weights = lax.optimization_barrier(weights)
+    values = sum(chunk.rows[:, :, SHAPE + c, None] * d_sums[:, None, c] for c in range(d_sums.shape[1]))
+    shares = lax.optimization_barrier(weights * values)
+    blended, total = running(jnp.add, shares, jnp.zeros_like(behind))
+    still_behind = behind[:, None] - blended - shares
+    # Where alpha is clamped it does not depend on the splat's shape.
+    flexible = (weights > 0) & (raw <= MAX_ALPHA)
+    g = jnp.where(flexible, shares - alphas / (1 - alphas) * still_behind, 0)
+    g = lax.optimization_barrier(g)
+
+    d_channels = jnp.einsum("bkp,bcp->bkc", weights, d_sums, precision="highest")
+    moments = jnp.einsum("bkp,pm->bkm", g, jnp.asarray(MOMENTS, g.dtype), precision="highest")
+    columns = [about_mean(moments, means_in_tile(chunk)), d_channels]
+    if watched:
+        columns.append(pull_of(g, chunk))
+    rows = jnp.concatenate(columns, axis=-1)
+    return (transmittance, behind - total, d_sums), gradients.at[chunk.ranks].add(rows)
+
+
+def pull_of(g: Float[Array, "b k p"], chunk: Chunk) -> Float[Array, "b k 2"]:
+    """Sums over pixels of |dL/d mean|, where dL/d mean is g (t (u, v) + s (0, w))."""
+    u, v, w = (chunk.rows[:, :, i, None] for i in range(2, 5))
+    t, s = along_axes(chunk)
+    return jnp.stack(
+        [jnp.sum(jnp.abs(g * u * t), axis=-1), jnp.sum(jnp.abs(g * (v * t + w * s)), axis=-1)], axis=-1
+    )
+
+
+def means_in_tile(chunk: Chunk) -> Float[Array, "b k 2"]:
+    """Means of the splats, from the corner of their tile."""
+    return chunk.rows[..., :2] - chunk.corner[:, None, :]
+
+
+def about_mean(moments: Float[Array, "b k 6"], means: Float[Array, "b k 2"]) -> Float[Array, "b k 6"]:
+    """Moments about the tile's centre, moved to the splats' means."""
+    g, gx, gy, gxx, gxy, gyy = jnp.moveaxis(moments, -1, 0)
+    dx, dy = jnp.moveaxis(CENTRE - means, -1, 0)
+    x1, y1 = gx + dx * g, gy + dy * g
+    return jnp.stack(
+        [g, x1, y1, gxx + dx * (gx + x1), gxy + dx * gy + dy * x1, gyy + dy * (gy + y1)], axis=-1
+    )
+
+
+def raw_alphas(chunk: Chunk) -> Float[Array, "b k p"]:
+    """opacity G at the pixels of a tile, before it is clamped."""
+    t, s = along_axes(chunk)
+    return chunk.rows[:, :, 5, None] * jnp.exp(-0.5 * (jnp.square(t) + jnp.square(s)))
+
+
+def along_axes(chunk: Chunk) -> tuple[Float[Array, "b k p"], Float[Array, "b k p"]]:
+    """t = u dx + v dy and s = w dy at the pixels of a tile."""
+    u, v, w = (chunk.rows[:, :, i, None] for i in range(2, 5))
+    x, y = jnp.moveaxis(means_in_tile(chunk), -1, 0)
+    dx = jnp.asarray(X, x.dtype)[None, None] - x[..., None]
+    dy = jnp.asarray(Y, y.dtype)[None, None] - y[..., None]
+    return u * dx + v * dy, w * dy
+
+
+def clamp(raw: Float[Array, "b k p"]) -> Float[Array, "b k p"]:
+    """min(0.99, alpha), and 0 below 1/255."""
+    return jnp.where(raw >= MIN_ALPHA, jnp.minimum(raw, MAX_ALPHA), 0)
+
+
+def blend_weights(
+    alphas: Float[Array, "b k p"], transmittance: Float[Array, "b p"]
+) -> tuple[Float[Array, "b k p"], Float[Array, "b p"]]:
+    """T_i alpha_i, and the transmittance that remains: 0 once a splat would take it below 1e-4."""
+    before, after = running(jnp.multiply, 1 - alphas, transmittance)
+    weights = jnp.where(before * (1 - alphas) >= MIN_TRANSMITTANCE, before * alphas, 0)
+    return weights, jnp.where(after >= MIN_TRANSMITTANCE, after, 0)
+
+
+def running(
+    combine, values: Float[Array, "b k p"], start: Float[Array, "b p"]
+) -> tuple[Float[Array, "b k p"], Float[Array, "b p"]]:
+    """start, start * v_0, start * v_0 * v_1, ... along k; and the last, which includes all.
+
+    In two levels, each written out: XLA's own cumulative sums and products are many times slower
+    on CPU, and so is a loop over k.
+    """
+    b, k, p = values.shape
+    groups = values.reshape(b, k // GROUP, GROUP, p)
+    members = [groups[:, :, i] for i in range(GROUP)]
+    whole = members[0]
+    for member in members[1:]:
+        whole = combine(whole, member)
+    whole = lax.optimization_barrier(whole)
+    totals = [start]
+    for i in range(k // GROUP):
+        totals.append(combine(totals[-1], whole[:, i]))
+    before = [lax.optimization_barrier(jnp.stack(totals[:-1], axis=1))]
+    for member in members[:-1]:
+        before.append(combine(before[-1], member))
+    return jnp.stack(before, axis=2).reshape(b, k, p), totals[-1]

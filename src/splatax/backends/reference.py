@@ -1,0 +1,82 @@
+"""Splatting as the paper says it, pixel by pixel: the oracle that every backend is tested against.
+
+    C = sum_i T_i alpha_i c_i,   T_i = prod_{j<i} (1 - alpha_j)         (Kerbl et al. 2023, Eq. 3)
+
+Splats are sorted by depth once; every pixel looks at every splat. JAX differentiates it. Time
+grows with pixels times splats, so it is for reading and testing, not for training.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from splatax import losses, projection
+from splatax.backends.protocol import Kernels
+from splatax.splats import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, Splats
+
+
+def composite(
+    splats: Splats, channels: Float[Array, "n c"]
+) -> tuple[Float[Array, "h w c"], Float[Array, "h w"]]:
+    """Blends `channels` of the splats, nearest first, into every pixel; see `splatax.rendering.composite`."""
+    visible = jnp.all(splats.extents > 0, axis=1)
+    order = jnp.argsort(jnp.where(visible, splats.depths, jnp.inf), stable=True)
+    means2d, sqrt_conics = splats.means2d[order], splats.sqrt_conics[order]
+    opacities = jnp.where(visible, splats.opacities, 0)[order]
+    channels = channels[order]
+    pull = None if splats.pull is None else splats.pull[order]
+
+    def pixel(x: Float[Array, ""], y: Float[Array, ""]):
+        alphas = alphas_at(offsets(jnp.array([x, y]), means2d, pull), sqrt_conics, opacities)
+        weights = weights_along_ray(alphas)
+        return weights @ channels, jnp.sum(weights)
+
+    columns = jnp.arange(splats.width, dtype=means2d.dtype) + 0.5
+    rows = jnp.arange(splats.height, dtype=means2d.dtype) + 0.5
+    # A row of pixels at a time, computed again on the way back: memory for one row, not the image.
+    row = jax.checkpoint(jax.vmap(pixel, in_axes=(0, None)))
+    return jax.lax.map(lambda y: row(columns, y), rows)
+
+
+def offsets(
+    pixel: Float[Array, "2"], means2d: Float[Array, "n 2"], pull: Float[Array, "n 2"] | None
+) -> Float[Array, "n 2"]:
+    """From the means to a pixel."""
+    return pixel[None, :] - means2d if pull is None else watched_offsets(pixel, means2d, pull)
+
+
+@jax.custom_vjp
+def watched_offsets(
+    pixel: Float[Array, "2"], means2d: Float[Array, "n 2"], pull: Float[Array, "n 2"]
+) -> Float[Array, "n 2"]:
+    """The same; `pull` gets the absolute value of what the pixel adds to the gradient of the means."""
+    return pixel[None, :] - means2d
+
+
+watched_offsets.defvjp(
+    lambda pixel, means2d, pull: (pixel[None, :] - means2d, None),
+    lambda _, gradient: (jnp.sum(gradient, axis=0), -gradient, jnp.abs(gradient)),
+)
+
+
+def alphas_at(
+    offsets: Float[Array, "n 2"],
+    sqrt_conics: Float[Array, "n 3"],
+    opacities: Float[Array, " n"],
+) -> Float[Array, " n"]:
+    """alpha = min(0.99, opacity G) at offsets from the means, and 0 where that is below 1/255."""
+    dx, dy = offsets.T
+    u, v, w = sqrt_conics.T
+    gaussian = jnp.exp(-0.5 * (jnp.square(u * dx + v * dy) + jnp.square(w * dy)))
+    alphas = jnp.minimum(opacities * gaussian, MAX_ALPHA)
+    return jnp.where(alphas >= MIN_ALPHA, alphas, 0)
+
+
+def weights_along_ray(alphas: Float[Array, " n"]) -> Float[Array, " n"]:
+    """T_i alpha_i from near to far, and 0 from the splat on that would take T below 1e-4."""
+    after = jnp.cumprod(1 - alphas)
+    before = jnp.concatenate([jnp.ones_like(after[:1]), after[:-1]])
+    return jnp.where(after >= MIN_TRANSMITTANCE, before * alphas, 0)
+
+
+KERNELS = Kernels("reference", projection.project, composite, losses.photometric)

@@ -1,0 +1,111 @@
+"""What is particular to the native rasterizer: threads, rounds, and input that nobody should pass."""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from scenes import random_splats
+from splatax.backends import cpu, reference
+from splatax.backends.cpu import library
+
+pytestmark = pytest.mark.skipif(
+    cpu.BEST.why_unavailable() is not None, reason=f"no native library: {cpu.BEST.why_unavailable()}"
+)
+SCENE = random_splats(7, n=600, size=(70, 53), sigma=(1, 12))
+
+
+@partial(jax.jit, static_argnames="backend")
+def image_and_gradient(scene, backend=cpu.BEST, channels=None):
+    def objective(scene, channels):
+        image, alpha = backend.composite(scene, channels)
+        weights = jnp.asarray(np.random.default_rng(0).normal(size=image.shape), jnp.float32)
+        return jnp.sum(image * weights) + jnp.sum(alpha * weights[..., 0]), (image, alpha)
+
+    channels = scene.colors if channels is None else channels
+    (_, image), gradient = jax.value_and_grad(objective, (0, 1), has_aux=True)(scene, channels)
+    return [*image, *jax.tree.leaves(gradient)]
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_any_number_of_threads_gives_the_same_bits(threads):
+    channels = jnp.asarray(np.random.default_rng(1).normal(size=(600, 6)), jnp.float32)
+    everything = image_and_gradient(SCENE, cpu.BEST, channels)
+    with_some = image_and_gradient(SCENE, cpu.kernels(threads=threads), channels)
+    for a, b in zip(everything, with_some, strict=True):
+        assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("other", [cpu.kernels(threads=1), cpu.kernels(max_pairs=100)])
+def test_pull_depends_neither_on_threads_nor_on_rounds(other):
+    watched = replace(SCENE, pull=jnp.zeros_like(SCENE.means2d))
+    for a, b in zip(image_and_gradient(watched, other), image_and_gradient(watched), strict=True):
+        assert_allclose(a, b, atol=2e-5 * max(np.abs(b).max(), 1))
+
+
+def test_pull_of_more_channels_than_are_drawn_at_once_is_refused():
+    watched = replace(SCENE, pull=jnp.zeros_like(SCENE.means2d))
+    with pytest.raises(ValueError, match="`pull` for up to 4 channels, not for 6"):
+        cpu.BEST.composite(watched, jnp.ones((600, 6)))
+
+
+def test_rounds_change_nothing_that_is_drawn():
+    at_once = image_and_gradient(SCENE)
+    in_rounds = image_and_gradient(SCENE, cpu.kernels(max_pairs=100))
+    assert_array_equal(in_rounds[0], at_once[0])
+    assert_array_equal(in_rounds[1], at_once[1])
+    for a, b in zip(in_rounds, at_once, strict=True):
+        assert_allclose(a, b, atol=2e-5 * max(np.abs(b).max(), 1))
+
+
+def test_calls_from_several_python_threads_do_not_disturb_each_other():
+    scenes = [random_splats(seed, n=300) for seed in range(4)]
+    expected = [image_and_gradient(scene) for scene in scenes]
+    with ThreadPoolExecutor(4) as executor:
+        for _ in range(5):
+            for results, alone in zip(executor.map(image_and_gradient, scenes), expected, strict=True):
+                for a, b in zip(results, alone, strict=True):
+                    assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e-42, 3e38, -3e38, 0.0])
+@pytest.mark.parametrize("field", ["means2d", "sqrt_conics", "depths", "extents", "opacities"])
+def test_one_absurd_splat_never_crashes_nor_leaves_the_others_undrawn(field, value):
+    array = np.array(getattr(SCENE, field))
+    array[100] = value
+    image, alpha, *gradients = image_and_gradient(replace(SCENE, **{field: jnp.asarray(array)}))
+    assert image.shape == (53, 70, 3)
+    assert np.isfinite(alpha).all()
+    assert all(np.isfinite(np.delete(g, 100, axis=0)).all() for g in gradients if g.shape[:1] == (600,))
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 5000), (5000, 1), (257, 3)])
+def test_images_of_extreme_shapes(size):
+    scene = random_splats(n=40, size=size)
+    expected = reference.composite(scene, scene.colors)
+    for actual, wanted in zip(cpu.BEST.composite(scene, scene.colors), expected, strict=True):
+        assert_allclose(actual, wanted, atol=2e-6)
+
+
+@pytest.mark.slow
+def test_a_million_splats_in_one_pixel():
+    scene = random_splats(n=1_000_000, size=(1, 1), sigma=(0.6, 2), opacity=(0.004, 0.006))
+    _, alpha, *gradients = image_and_gradient(scene)
+    assert 0.9 < float(alpha[0, 0]) <= 1
+    assert all(np.isfinite(g).all() for g in gradients)
+
+
+def test_it_is_refused_by_name_where_the_machine_cannot_run_it(monkeypatch):
+    monkeypatch.setattr(library, "best_instructions", lambda: "avx2")
+    assert "no avx512" in cpu.AVX512.why_unavailable()
+    assert cpu.AVX2.why_unavailable() is None
+
+
+def test_an_installation_without_the_library_says_how_to_get_it(monkeypatch, tmp_path):
+    monkeypatch.setattr(library, "FOLDER", tmp_path)
+    assert "install a C++" in cpu.BEST.why_unavailable()

@@ -1,0 +1,314 @@
+"""Nothing malformed reaches a kernel: wrong shapes and dtypes are refused in words, in Python and in C++.
+
+Hypothesis makes the wrong arrays. A crash of the process is a failed test; `make sanitize` runs the native
+half under the address and undefined-behaviour sanitizers.
+"""
+
+import re
+from dataclasses import fields, replace
+
+import jax
+import jax.numpy as jnp
+import jaxtyping
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+from scenes import camera_at, random_gaussians, random_splats
+from splatax import backends
+from splatax.backends import cpu
+from splatax.losses import Photometric
+from splatax.projection import Antialiasing, Dilation
+from splatax.rendering import composite, project, rasterize, render
+
+N, SIZE = 12, (10, 7)
+CAMERA = camera_at(size=SIZE, focal=8.0)
+GAUSSIANS = random_gaussians(n=N, degree=1)
+SPLATS = random_splats(n=N, size=SIZE)
+EXAMPLES = settings(
+    max_examples=200,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+WRONG_DTYPES = (np.int32, np.float16, np.bool_, np.uint8)
+
+
+@pytest.fixture(autouse=True)
+def installed_as_users_have_it():
+    """Switches off the shape checks that the tests add to every function, which users do not have."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
+
+
+@pytest.fixture(params=list(backends.BACKENDS))
+def backend(request):
+    if reason := backends.why_unavailable(request.param):
+        pytest.skip(reason)
+    return request.param
+
+
+@st.composite
+def wrong_shapes(draw, shape):
+    """A shape that is none of those that would fit: an axis more, less, longer, shorter, empty or moved."""
+    wrong = list(shape)
+    how = draw(st.sampled_from(["size", "insert", "drop", "move"]))
+    if how == "size" and wrong:
+        axis = draw(st.integers(0, len(wrong) - 1))
+        wrong[axis] = draw(st.integers(0, 2 * wrong[axis] + 3).filter(lambda n: n != shape[axis]))
+    elif how == "drop" and wrong:
+        wrong.pop(draw(st.integers(0, len(wrong) - 1)))
+    elif how == "move" and len(set(wrong)) > 1:
+        wrong = draw(st.permutations(wrong).filter(lambda order: list(order) != list(shape)))
+    else:
+        wrong.insert(draw(st.integers(0, len(wrong))), draw(st.integers(0, 4)))
+    return tuple(wrong)
+
+
+@st.composite
+def spoiled(draw, record, names):
+    """A record with one field of a wrong shape or dtype."""
+    name = draw(st.sampled_from(names))
+    right = np.asarray(getattr(record, name))
+    if draw(st.integers(0, 3)) == 0:
+        return replace(record, **{name: jnp.asarray(right.astype(draw(st.sampled_from(WRONG_DTYPES))))})
+    shape = draw(wrong_shapes(right.shape))
+    return replace(record, **{name: jnp.ones(shape, right.dtype)})
+
+
+def arrays_of(record):
+    return [field.name for field in fields(record) if field.name not in ("width", "height", "pull")]
+
+
+def assert_refused(call):
+    """The call raises one line of words that begins with what is malformed and ends with a full stop."""
+    with pytest.raises(ValueError, match=r"has|is|every|coefficients") as refusal:
+        jax.block_until_ready(call())
+    assert re.fullmatch(r"(Gaussians|Camera|Splats|\d+ SH coefficients)[^\n]*[.)]", str(refusal.value))
+
+
+@EXAMPLES
+@given(gaussians=spoiled(GAUSSIANS, arrays_of(GAUSSIANS)))
+def test_a_malformed_scene_is_refused_forward_and_backward(backend, gaussians):
+    # SH of 1, 4, 9 ... coefficients are all right, and so is a scene of which nothing but its size changed.
+    if gaussians.sh.shape[0] == N and gaussians.sh.shape[1:] in {(k * k, 3) for k in range(1, 6)}:
+        return
+    assert_refused(lambda: render(gaussians, CAMERA, backend=backend))
+    by_scene = jax.grad(lambda scene: render(scene, CAMERA, backend=backend).rgb.sum(), allow_int=True)
+    assert_refused(lambda: by_scene(gaussians))
+    by_camera = jax.grad(lambda camera: render(gaussians, camera, backend=backend).rgb.sum())
+    assert_refused(lambda: by_camera(CAMERA))
+
+
+@EXAMPLES
+@given(camera=spoiled(CAMERA, arrays_of(CAMERA)))
+def test_a_malformed_camera_is_refused_forward_and_backward(backend, camera):
+    assert_refused(lambda: render(GAUSSIANS, camera, backend=backend))
+    assert_refused(lambda: jax.grad(lambda g: render(g, camera, backend=backend).rgb.sum())(GAUSSIANS))
+
+
+@EXAMPLES
+@given(splats=spoiled(SPLATS, arrays_of(SPLATS)))
+def test_malformed_splats_are_refused_forward_and_backward(backend, splats):
+    assert_refused(lambda: rasterize(splats, backend=backend))
+    by_channels = jax.grad(lambda channels: composite(splats, channels, backend=backend)[0].sum())
+    assert_refused(lambda: by_channels(SPLATS.colors))
+
+
+@EXAMPLES
+@given(shape=wrong_shapes((N, 3)))
+def test_channels_and_features_need_a_row_for_each_splat(backend, shape):
+    if len(shape) == 2 and shape[0] == N:
+        return  # any number of channels
+    values = jnp.ones(shape)
+    assert_refused(lambda: composite(SPLATS, values, backend=backend))
+    assert_refused(lambda: rasterize(SPLATS, features=values, backend=backend))
+
+
+def test_stacked_cameras_are_refused_with_the_way_out(backend):
+    two = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), CAMERA)
+    with pytest.raises(ValueError, match=r"use jax\.vmap for a batch"):
+        render(GAUSSIANS, two, backend=backend)
+    images = jax.vmap(lambda camera: render(GAUSSIANS, camera, backend=backend).rgb)(two)
+    assert_allclose(images[1], render(GAUSSIANS, CAMERA, backend=backend).rgb, atol=1e-6)
+
+
+@pytest.mark.parametrize("size", [(0, 5), (5, 0), (-1, 5), (2.0, 5), (5, True), (5, 10**7)])
+def test_an_image_without_a_size_is_refused(backend, size):
+    with pytest.raises(ValueError, match="whole number of pixels"):
+        render(GAUSSIANS, replace(CAMERA, width=size[0], height=size[1]), backend=backend)
+
+
+def test_an_empty_scene_is_the_background(backend):
+    nothing = jax.tree.map(lambda leaf: leaf[:0], GAUSSIANS)
+    image = render(nothing, CAMERA, background=jnp.array([0.1, 0.2, 0.3]), backend=backend)
+    assert_array_equal(image.rgb, jnp.broadcast_to(jnp.array([0.1, 0.2, 0.3]), (*SIZE[::-1], 3)))
+    gradient = jax.grad(lambda g: render(g, CAMERA, backend=backend).rgb.sum())(nothing)
+    assert gradient.means.shape == (0, 3)
+
+
+def test_mixed_dtypes_are_refused(x64):
+    mixed = replace(GAUSSIANS, quats=GAUSSIANS.quats.astype(np.float64))
+    with pytest.raises(ValueError, match="quats is float64, but means is float32"):
+        render(mixed, CAMERA)
+    double = jax.tree.map(lambda leaf: leaf.astype(np.float64), GAUSSIANS)
+    with pytest.raises(ValueError, match="cam_from_world is float32, but means is float64"):
+        render(double, CAMERA)
+
+
+def test_lists_instead_of_arrays_are_refused():
+    with pytest.raises(ValueError, match=r"quats is list, not an array. Convert it: jnp.asarray\(quats\)"):
+        render(replace(GAUSSIANS, quats=GAUSSIANS.quats.tolist()), CAMERA)
+
+
+# --- what is allowed ---
+
+
+def test_a_background_is_one_colour_or_one_for_each_pixel(backend):
+    picture = jnp.asarray(np.random.default_rng(0).uniform(size=(*SIZE[::-1], 3)), jnp.float32)
+    image = render(GAUSSIANS, CAMERA, background=picture, backend=backend)
+    black = render(GAUSSIANS, CAMERA, backend=backend)
+    assert_allclose(image.rgb, black.rgb + (1 - black.alpha)[..., None] * picture, atol=1e-6)
+    gradient = jax.grad(lambda b: render(GAUSSIANS, CAMERA, background=b, backend=backend).rgb.sum())(picture)
+    assert_allclose(gradient, jnp.broadcast_to((1 - black.alpha)[..., None], picture.shape), atol=1e-6)
+    for wrong in [(1,), (4,), (3, 1), SIZE[::-1], (*SIZE, 3), (1, *SIZE[::-1], 3)]:
+        with pytest.raises(ValueError, match=r"background has shape .*Give one colour"):
+            render(GAUSSIANS, CAMERA, background=jnp.ones(wrong), backend=backend)
+
+
+def test_arrays_of_numpy_are_rendered_by_the_backend_of_the_dtype_that_jax_computes_in():
+    # Without x64, JAX computes float64 arrays of NumPy in float32: one backend for both halves.
+    double = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), (GAUSSIANS, CAMERA))
+    assert_array_equal(render(*double).rgb, render(GAUSSIANS, CAMERA).rgb)
+
+
+def test_kernels_of_the_caller_take_the_place_of_a_backend():
+    seen = []
+    portable = backends.resolve("xla")
+
+    def counted(splats, channels):
+        seen.append(splats.means2d.shape)
+        return portable.composite(splats, channels)
+
+    image = render(GAUSSIANS, CAMERA, backend=replace(portable, name="mine", composite=counted))
+    assert seen == [(N, 2)]
+    assert_array_equal(image.rgb, render(GAUSSIANS, CAMERA, backend="xla").rgb)
+
+
+def test_the_loss_refuses_pictures_of_two_sizes():
+    with pytest.raises(ValueError, match=r"the loss: photo has shape \(4, 6, 3\)"):
+        Photometric()(jnp.zeros((4, 5, 3)), jnp.zeros((4, 6, 3)))
+    with pytest.raises(ValueError, match=r"the loss: mask has shape \(5, 4\)"):
+        Photometric()(jnp.zeros((4, 5, 3)), jnp.zeros((4, 5, 3)), jnp.ones((5, 4), bool))
+
+
+# --- the native handlers, which believe nobody ---
+
+NATIVE = pytest.mark.skipif(cpu.BEST.why_unavailable() is not None, reason="no native library")
+
+
+def recorded_calls():
+    """The native calls of a small run, as (symbol, shapes of results, arrays, options)."""
+    calls = []
+    original = cpu.Build.call
+
+    def record(self, symbol, shapes, arrays, **options):
+        results = original(self, symbol, shapes, arrays, **options)
+        calls.append((symbol, shapes, [np.asarray(array) for array in arrays], options))
+        return results
+
+    with pytest.MonkeyPatch.context() as patch, jax.disable_jit():
+        patch.setattr(cpu.Build, "call", record)
+        for low_pass in (Dilation(), Antialiasing()):
+            splats, pull_back = jax.vjp(
+                lambda g, c, low_pass=low_pass: project(g, c, low_pass=low_pass, backend="cpu"),
+                GAUSSIANS,
+                CAMERA,
+            )
+            pull_back(splats)
+        watched = replace(SPLATS, pull=jnp.zeros_like(SPLATS.means2d))
+        jax.grad(lambda s: composite(s, s.colors, backend="cpu")[0].sum())(watched)
+        photo = jnp.zeros((*SIZE[::-1], 3))
+        jax.grad(lambda x: cpu.BEST.photometric(x, photo, 0.2))(photo + 0.5)
+    return calls
+
+
+CALLS = recorded_calls() if cpu.BEST.why_unavailable() is None else []
+
+
+@NATIVE
+def test_every_native_kernel_and_its_gradient_is_among_the_calls():
+    assert {call[0].removeprefix("splatax_") for call in CALLS} == {
+        "project_forward",
+        "project_backward",
+        "rasterize_forward",
+        "rasterize_backward",
+        "photometric",
+    }
+
+
+@NATIVE
+@settings(max_examples=300, deadline=None, derandomize=True)
+@given(data=st.data())
+def test_cpu_handlers_refuse_what_does_not_fit(data):
+    symbol, shapes, arrays, options = data.draw(st.sampled_from(CALLS), label="call")
+    shapes, arrays = list(shapes), list(arrays)
+    place = data.draw(st.integers(0, len(arrays) + len(shapes) - 1), label="place")
+    if place < len(arrays):
+        right = arrays[place]
+        if data.draw(st.integers(0, 4)) == 0:
+            arrays[place] = right.astype(np.int32 if right.dtype == np.float32 else np.float32)
+        else:
+            wrong = data.draw(wrong_shapes(right.shape))
+            if symbol == "splatax_project_forward" and wrong in {(N, k * k, 3) for k in range(1, 6)}:
+                return  # SH of another degree
+            arrays[place] = np.ones(wrong, right.dtype)
+    else:
+        right = shapes[place - len(arrays)]
+        shape, dtype = (right, np.float32) if isinstance(right, tuple) else (right.shape, right.dtype)
+        wrong = data.draw(wrong_shapes(shape))
+        if symbol == "splatax_rasterize_backward" and 0 in wrong and place == len(arrays) + 4:
+            return  # an empty gradient of `pull`: not asked for
+        shapes[place - len(arrays)] = jax.ShapeDtypeStruct(wrong, dtype)
+    with pytest.raises((jax.errors.JaxRuntimeError, ValueError), match="INVALID_ARGUMENT"):
+        jax.block_until_ready(cpu.Build().call(symbol, shapes, [jnp.asarray(a) for a in arrays], **options))
+
+
+@NATIVE
+@pytest.mark.parametrize(
+    ("symbol", "option", "value"),
+    [
+        ("splatax_project_forward", "width", 0),
+        ("splatax_project_forward", "height", 2**40),
+        ("splatax_rasterize_forward", "max_pairs", 0),
+        ("splatax_rasterize_backward", "max_pairs", -1),
+    ],
+)
+def test_cpu_handlers_refuse_options_out_of_range(symbol, option, value):
+    _, shapes, arrays, options = next(call for call in CALLS if call[0] == symbol)
+    with pytest.raises(jax.errors.JaxRuntimeError, match=r"INVALID_ARGUMENT.*not from 1 to"):
+        jax.block_until_ready(
+            cpu.Build().call(
+                symbol, shapes, list(map(jnp.asarray, arrays)), **options | {option: np.int64(value)}
+            )
+        )
+
+
+@NATIVE
+def test_cpu_gradient_with_the_ticket_of_another_image_bins_again():
+    forward = next(call for call in CALLS if call[0] == "splatax_rasterize_forward")
+    backward = next(call for call in CALLS if call[0] == "splatax_rasterize_backward")
+    expected = cpu.Build().call(backward[0], backward[1], list(map(jnp.asarray, backward[2])), **backward[3])
+    more = random_splats(n=3 * N, size=(2 * SIZE[0], SIZE[1]))
+    arrays = [more.means2d, more.sqrt_conics, more.depths, more.extents, more.opacities, more.colors]
+    size = (SIZE[1], 2 * SIZE[0])
+    shapes = [(*size, 3), size, jax.ShapeDtypeStruct((), jnp.int32)]
+    *_, ticket = cpu.Build().call(forward[0], shapes, arrays, **forward[3])
+    with_its_ticket = list(map(jnp.asarray, backward[2]))
+    with_its_ticket[8] = ticket
+    found = cpu.Build().call(backward[0], backward[1], with_its_ticket, **backward[3])
+    for a, b in zip(found, expected, strict=True):
+        assert_array_equal(a, b)

@@ -10,7 +10,7 @@ import splatax
 ROOT = Path(splatax.__file__).parent
 LAYERS = (  # lowest first; a package stands for all its modules
     {"math", "errors", "shapes"},
-    {"gaussians", "splats", "camera", "dataset", "forecast", "resampling", "similarity"},
+    {"gaussians", "splats", "camera", "dataset", "forecast", "resampling", "transforms"},
     {"native"},
     {"projection", "rasterizers", "losses", "metrics", "lpips", "io"},
     {"rendering", "paths"},

@@ -13,7 +13,7 @@ from splatax.camera import Camera
 from splatax.errors import InputError
 from splatax.gaussians import Gaussians
 from splatax.math import harmonics
-from splatax.similarity import Similarity
+from splatax.transforms import Similarity
 
 UP = np.array([0.0, -1.0, 0.0])  # in the files that viewers expect: y points down, as in a camera
 LEAST_AGREEMENT = 0.2  # length of the mean of the cameras' unit up vectors

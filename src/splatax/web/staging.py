@@ -12,7 +12,7 @@ from splatax.camera import Camera, look_at
 from splatax.editing.placing import UP, level
 from splatax.errors import InputError
 from splatax.gaussians import Gaussians
-from splatax.similarity import Similarity
+from splatax.transforms import Similarity
 
 SIZE = 4.0  # viewer's units that the cameras (or, without any, the Gaussians) spread over, from their middle
 LEAST_TURN = 0.03  # of the axes, as an eigenvalue, for a point that all look at to exist

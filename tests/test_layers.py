@@ -13,7 +13,7 @@ LAYERS = (  # lowest first; a package stands for all its modules
     {"gaussians", "splats", "camera", "dataset", "forecast", "resampling", "transforms"},
     {"native"},
     {"projection", "rasterizers", "losses", "metrics", "lpips", "io"},
-    {"rendering", "paths"},
+    {"rendering", "trajectories"},
     {"training", "evaluation", "editing"},
     {"report", "demo", "bench", "budget", "reconstruction", "inspection", "notebook", "web"},
     {"viewer"},

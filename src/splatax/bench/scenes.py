@@ -8,7 +8,7 @@ import numpy as np
 from splatax.camera import Camera
 from splatax.gaussians import Gaussians
 from splatax.math import harmonics
-from splatax.paths.shapes import FOCAL, overview
+from splatax.trajectories.shapes import FOCAL, overview
 
 LAYERS = 14.0  # Gaussians over a point of a surface; trained scenes have about as many
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from splatax.dataset import View
-from splatax.paths import Key, keyframes
+from splatax.trajectories import Key, keyframes
 from splatax.viewer.pictures import MODES, Look
 from splatax.viewer.poses import Pose, pose_of
 

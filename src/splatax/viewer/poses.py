@@ -8,7 +8,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from splatax.camera import Camera
-from splatax.paths import Key
+from splatax.trajectories import Key
 
 
 @dataclass(frozen=True)

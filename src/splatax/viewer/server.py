@@ -17,7 +17,7 @@ from splatax.camera import Camera
 from splatax.dataset import View
 from splatax.errors import InputError
 from splatax.gaussians import Gaussians
-from splatax.paths.shapes import up_of
+from splatax.trajectories.shapes import up_of
 from splatax.viewer.pacing import Pacing
 from splatax.viewer.panels import Panels
 from splatax.viewer.pictures import Look

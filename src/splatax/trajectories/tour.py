@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from splatax.camera import Camera
-from splatax.paths.interpolation import Key, Size, interpolate
+from splatax.trajectories.interpolation import Key, Size, interpolate
 
 TURN = 1.0  # a turn by so many radians is as long as the spread of the cameras
 STATIONS = 24  # at most: more make a film restless

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from splatax.camera import Camera, look_at
 from splatax.errors import InputError
-from splatax.paths.interpolation import Key, Size
+from splatax.trajectories.interpolation import Key, Size
 
 FOCAL = 0.8  # of the longer side of the image, for a scene without cameras
 VIEW = (0.5, 0.2, 1.0)  # direction in which it is looked at: from above where y points down

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from splatax.camera import Camera
 from splatax.errors import FormatError
-from splatax.paths.interpolation import Key, Size, interpolate
+from splatax.trajectories.interpolation import Key, Size, interpolate
 
 
 def read(path: Path, frames: int, size: Size) -> list[Camera]:

@@ -1,4 +1,4 @@
-"""Camera paths for films: around what a capture looks at, or through its cameras."""
+"""Camera trajectories for videos: around the subject of a capture, past its cameras, or through keyframes."""
 
 from splatax.trajectories.interpolation import Key as Key
 from splatax.trajectories.interpolation import interpolate as interpolate

@@ -1,4 +1,4 @@
-"""Keyframes in a JSON file, as people write them and as the live viewer saves them."""
+"""JSON files of keyframes, written by hand or saved by the live viewer."""
 
 import itertools
 import json
@@ -15,15 +15,20 @@ from splatax.trajectories.interpolation import Key, Size, interpolate
 
 
 def read(path: Path, frames: int, size: Size) -> list[Camera]:
-    """The path that a file describes, spread over so many frames.
+    """Reads a file of keyframes and interpolates them to a number of frames.
 
     The file is {"closed": false, "keyframes": [{"position": [x, y, z], "wxyz": [w, x, y, z], "fov":
-    degrees, "seconds": s}, ...]}: wxyz turns camera axes (x right, y down, z forward) to the world's, fov
-    is from top to bottom. "seconds" tell the rhythm and may be left out of all: then a step takes as
-    long as any other. A closed path goes back to the first.
+    degrees, "seconds": s}, ...]}. wxyz rotates camera axes (x right, y down, z forward) to world axes, and
+    fov is the vertical field of view. "seconds" sets the relative timing; if no keyframe has it,
+    keyframes are evenly spaced. A closed trajectory returns to its first keyframe.
+
+    Args:
+        path: the JSON file.
+        frames: number of cameras to return.
+        size: width and height of the frames, pixels.
 
     Raises:
-        FormatError: if the file is missing or is something else.
+        FormatError: if the file is missing or is not a file of keyframes.
     """
     try:
         contents = json.loads(path.read_text())
@@ -45,7 +50,7 @@ def read(path: Path, frames: int, size: Size) -> list[Camera]:
 
 
 def write(keys: Sequence[Key]) -> bytes:
-    """The contents of a file with these keyframes."""
+    """Returns the contents of a JSON file with these keyframes."""
     rows = [
         {
             "position": [float(x) for x in key.position],

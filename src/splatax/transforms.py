@@ -1,4 +1,4 @@
-"""Similarity transforms of scenes: renderings stay the same if Gaussians and cameras are transformed alike."""
+"""Similarity transforms of scenes. Transforming Gaussians and cameras alike keeps renderings the same."""
 
 from dataclasses import dataclass, replace
 

@@ -260,9 +260,9 @@ def test_addresses_that_are_not_ours_are_refused():
     pytest.importorskip("viser")
     from splatax.viewer.server import Viewer
 
-    with pytest.raises(InputError, match="--host"):
+    with pytest.raises(InputError, match="cannot listen there"):
         Viewer((), centered(), np.zeros(3), Look(), host="203.0.113.1")
-    with pytest.raises(InputError, match="--port"):
+    with pytest.raises(InputError, match="port 80: must be"):
         Viewer((), centered(), np.zeros(3), Look(), port=80)
 
 

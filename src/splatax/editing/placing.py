@@ -44,7 +44,7 @@ def up_of(cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
     length = float(np.linalg.norm(mean))
     if length < LEAST_AGREEMENT:
         raise InputError(
-            "--up auto: the cameras were held in all directions, so none is up. Turn the scene with --rotate."
+            "The cameras were held in all directions, so none of them is up. Give a rotation instead."
         )
     return mean / length
 

@@ -34,7 +34,7 @@ def read(path: Path, frames: int, size: Size) -> list[Camera]:
         contents = json.loads(path.read_text())
     except FileNotFoundError:
         raise FormatError(
-            f"{path}: no such file. --path is orbit, spiral, interpolate or a .json file."
+            f"{path}: no such file. A camera path is orbit, spiral, interpolate or a .json file of keyframes."
         ) from None
     except (OSError, ValueError) as error:
         raise FormatError(f"{path}: not a JSON file ({error}). Save the path again.") from error

@@ -41,7 +41,7 @@ def orbit(cameras: Sequence[Camera], frames: int, size: Size, focus: Float[np.nd
     distance = float(np.median(distances))
     sideways = level[int(np.argmax(distances >= distance))]
     if distance <= 1e-6 * float(np.linalg.norm(positions - focus, axis=1).max()):
-        raise InputError("--path orbit: the cameras are right above what they look at. Ask for interpolate.")
+        raise InputError("orbit: the cameras are directly above what they look at. Use interpolate.")
     sideways = sideways / np.linalg.norm(sideways) * distance
     fov = _fov(cameras, size)
     path = []
@@ -70,7 +70,7 @@ def spiral(
     positions = _positions(cameras)
     forward = np.mean([np.asarray(camera.rotation, np.float64)[2] for camera in cameras], axis=0)
     if np.linalg.norm(forward) < 0.5:
-        raise InputError("--path spiral: the cameras look in all directions. Ask for orbit, or interpolate.")
+        raise InputError("spiral: the cameras look in all directions. Use orbit or interpolate.")
     centre = positions.mean(axis=0)
     fov = _fov(cameras, size)
     middle = _looking(centre, centre + forward, up_of(cameras), fov)
@@ -79,7 +79,7 @@ def spiral(
     depths = (points - centre) @ axes[2]
     visible = depths > 1e-3 * max(np.abs(depths).max(initial=0), 1e-12)
     if not visible.any():
-        raise InputError("--path spiral: nothing of the scene is before the cameras. Ask for interpolate.")
+        raise InputError("spiral: nothing of the scene is in front of the cameras. Use interpolate.")
     target = centre + axes[2] / np.mean(1 / depths[visible])
     path = []
     for angle in np.linspace(0, 2 * np.pi * TURNS, frames, endpoint=False):
@@ -116,10 +116,10 @@ def focus_of(cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
     across = np.eye(3) - forward[:, :, None] * forward[:, None, :]
     normal = across.sum(axis=0)
     if np.linalg.eigvalsh(normal)[0] < 1e-6 * len(cameras):
-        raise InputError("--path orbit: all cameras look the same way. Ask for spiral, or interpolate.")
+        raise InputError("orbit: all cameras look the same way. Use spiral or interpolate.")
     point = np.linalg.solve(normal, np.einsum("nij,nj->i", across, positions))
     if np.median(np.einsum("ni,ni->n", point - positions, forward)) <= 0:
-        raise InputError("--path orbit: the cameras look outwards, at no common point. Ask for interpolate.")
+        raise InputError("orbit: the cameras look outwards, at no common point. Use interpolate.")
     return point
 
 

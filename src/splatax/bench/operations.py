@@ -35,7 +35,7 @@ def operations(scene: Scene, backend: str) -> dict[str, Operation]:
 
 
 def projection(scene: Scene, backend: str) -> dict[str, Operation]:
-    """Returns the projection of Gaussians to splats, and its gradient in Gaussians and camera."""
+    """Returns operations that project Gaussians: forward, and with gradients of Gaussians and camera."""
     gaussians, camera = scene.gaussians, scene.camera
     splats = project(gaussians, camera, backend=backend)
     cotangents = replace(splats, extents=jnp.zeros_like(splats.extents))
@@ -52,7 +52,7 @@ def projection(scene: Scene, backend: str) -> dict[str, Operation]:
 
 
 def rasterizer(scene: Scene, backend: str) -> dict[str, Operation]:
-    """Returns the rasterization of splats, and the gradient of a weighted sum over the image."""
+    """Returns operations that rasterize splats: forward, and with the gradient of a weighted sum."""
     splats = project(scene.gaussians, scene.camera, backend=backend)
     weights, _ = images(scene.camera.height, scene.camera.width)
 
@@ -72,13 +72,13 @@ def rasterizer(scene: Scene, backend: str) -> dict[str, Operation]:
 
 
 def viewing(scene: Scene, backend: str) -> dict[str, Operation]:
-    """Returns the rendering of one frame, as a viewer does it."""
+    """Returns the operation that renders one frame, as a viewer does."""
     draw = jax.jit(partial(render, backend=backend))
     return {"render": lambda: draw(scene.gaussians, scene.camera).rgb}
 
 
 def training(scene: Scene, backend: str) -> dict[str, Operation]:
-    """Returns the loss with its gradient, Adam, and a whole training step."""
+    """Returns operations for the loss with its gradient, Adam, and a whole training step."""
     image, photo = images(scene.camera.height, scene.camera.width)
     loss_gradient = jax.jit(jax.value_and_grad(partial(Photometric(), backend=backend)))
     return {

@@ -79,7 +79,7 @@ class Panels:
 
     @property
     def curve_due(self) -> bool:
-        """Whether the loss curve is due to be redrawn."""
+        """True if it is time to redraw the loss curve."""
         return time.monotonic() - self._drawn_curve > CURVE_SECONDS
 
     def curve(self, losses: Float[np.ndarray, " n"]) -> None:

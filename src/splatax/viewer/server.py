@@ -120,12 +120,12 @@ class Viewer:
 
     @property
     def watched(self) -> bool:
-        """Whether any browser is connected."""
+        """True if any browser is connected."""
         return bool(self._browsers)
 
     @property
     def moving(self) -> bool:
-        """Whether the camera of any browser moves."""
+        """True if the camera of any browser is moving."""
         now = time.monotonic()
         return any(now - browser.moved < REST_SECONDS for browser in list(self._browsers.values()))
 

@@ -1,7 +1,7 @@
-"""A small synthetic capture: an analytic still life, photographed by a ray caster.
+"""A small capture out of nothing: an analytic still life, photographed by a ray caster.
 
-shapes.py       intersections of rays and surfaces
-still_life.py   the surfaces of the scene, and their textures
-raycast.py      photos: light, shadow and highlight
-capture.py      cameras around the scene, and a COLMAP model with exact poses and points
+shapes.py       where a ray meets a surface
+still_life.py   which surfaces, and their textures
+raycast.py      light, shadow and highlight: a photo
+capture.py      cameras around it, and a COLMAP model with exact poses and points
 """

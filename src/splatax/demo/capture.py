@@ -22,7 +22,7 @@ DISTANCE = 2.7
 
 
 def cameras() -> list[Camera]:
-    """Returns cameras around the still life, ordered so that every 8th (held out) lies among the others."""
+    """Around the still life, in an order that puts every 8th, which is held out, among others."""
     azimuths = np.linspace(*AZIMUTHS, PHOTOS)[(np.arange(PHOTOS) * 7 + PHOTOS // 2) % PHOTOS]
     poses = []
     for i, azimuth in enumerate(np.radians(azimuths)):
@@ -34,7 +34,7 @@ def cameras() -> list[Camera]:
 
 
 def write_capture(folder: Path) -> None:
-    """Writes photos to FOLDER/images and a COLMAP model to FOLDER/sparse/0."""
+    """Writes photos to FOLDER/images and a model to FOLDER/sparse/0."""
     (folder / "images").mkdir(parents=True, exist_ok=True)
     (folder / "sparse" / "0").mkdir(parents=True, exist_ok=True)
     views = {f"view{i:02}.png": camera for i, camera in enumerate(cameras())}
@@ -44,7 +44,7 @@ def write_capture(folder: Path) -> None:
 
 
 def model_of(views: dict[str, Camera]) -> pycolmap.Reconstruction:
-    """Returns a COLMAP model of cameras by name, with surface points observed wherever they are visible."""
+    """A COLMAP model whose points lie on what the cameras see, observed wherever they are visible."""
     positions, colors = surface_points(list(views.values()))
     model = pycolmap.Reconstruction()
     width, height = SIZE
@@ -67,7 +67,7 @@ def model_of(views: dict[str, Camera]) -> pycolmap.Reconstruction:
 
 
 def surface_points(views: list[Camera]) -> tuple[np.ndarray, np.ndarray]:
-    """Returns points where rays through random pixels meet a surface, and their colours."""
+    """Points, and their colours as seen, where rays through random pixels meet a surface."""
     rng = np.random.default_rng(0)
     pixels = [rng.uniform(size=(POINTS // len(views), 2)) * SIZE for _ in views]
     seen = [look(camera, jnp.asarray(p, jnp.float32)) for camera, p in zip(views, pixels, strict=True)]
@@ -77,7 +77,7 @@ def surface_points(views: list[Camera]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def observations(camera: Camera, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the pixel coordinates of points, and a mask of the points that the camera sees."""
+    """Pixels of points, and which are inside the image with nothing in front of them."""
     points = jnp.asarray(positions, jnp.float32)
     pixels = np.asarray(jax.vmap(lambda point: camera.to_pixel(camera.to_camera(point)))(points), np.float64)
     inside = np.all((pixels > 0) & (pixels < SIZE), axis=1)

@@ -34,13 +34,14 @@ def center_of_view(camera, depth):
 
 
 def key(x=0.0, turn=0.0, fov=1.0):
-    return trajectories.Key(np.array([x, 0.0, 0.0]), Rotation.from_rotvec([0, turn, 0]), fov)
+    return trajectories.Keyframe(np.array([x, 0.0, 0.0]), Rotation.from_rotvec([0, turn, 0]), fov)
 
 
 def test_a_path_passes_every_key_at_its_time():
     rng = np.random.default_rng(0)
     keys = [
-        trajectories.Key(rng.normal(size=3), Rotation.random(rng=rng), fov) for fov in (0.5, 1.0, 0.7, 1.4)
+        trajectories.Keyframe(rng.normal(size=3), Rotation.random(rng=rng), fov)
+        for fov in (0.5, 1.0, 0.7, 1.4)
     ]
     times = [0.0, 1.0, 1.5, 4.0]
     for made, given in zip(trajectories.interpolate(keys, times, times), keys, strict=True):
@@ -54,7 +55,7 @@ def test_velocity_is_continuous_at_keys(closed):
     rng = np.random.default_rng(1)
     turns = [Rotation.from_rotvec(rng.uniform(-0.4, 0.4, 3)) for _ in range(4)]
     keys = [
-        trajectories.Key(rng.normal(size=3), turn, f)
+        trajectories.Keyframe(rng.normal(size=3), turn, f)
         for turn, f in zip(turns, (0.5, 1.0, 0.7, 1.4), strict=True)
     ]
     times = [0.0, 1.0, 1.5, 4.0, 5.0][: 4 + closed]
@@ -153,7 +154,7 @@ def test_cameras_from_one_place_make_a_film_that_rests():
 def test_a_picture_of_another_shape_never_shows_more_than_the_photo():
     camera = camera_at(size=(40, 20), focal=30.0)
     for size in ((40, 40), (80, 20), (120, 60)):
-        shown = trajectories.Key.of(camera, size).camera(size)
+        shown = trajectories.Keyframe.of(camera, size).camera(size)
         assert float(shown.fy) / size[1] >= float(camera.fy) / 20 - 1e-6
         assert float(shown.fx) / size[0] >= float(camera.fy) / 40 - 1e-6
 

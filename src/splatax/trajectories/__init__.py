@@ -1,6 +1,6 @@
 """Camera trajectories for videos: around the subject of a capture, past its cameras, or through keyframes."""
 
-from splatax.trajectories.interpolation import Key as Key
+from splatax.trajectories.interpolation import Keyframe as Keyframe
 from splatax.trajectories.interpolation import interpolate as interpolate
 from splatax.trajectories.keyframes import read as read
 from splatax.trajectories.keyframes import write as write

@@ -17,7 +17,7 @@ Size = tuple[int, int]  # width and height, pixels
 
 
 @dataclass(frozen=True)
-class Key:
+class Keyframe:
     """Pose and field of view of the camera at one time.
 
     Attributes:
@@ -31,7 +31,7 @@ class Key:
     fov: float
 
     @classmethod
-    def of(cls, camera: Camera, size: Size) -> "Key":
+    def of(cls, camera: Camera, size: Size) -> "Keyframe":
         """Returns the keyframe of a camera, for frames of another size.
 
         The frame is cropped to its aspect ratio, so it never shows more than the camera saw. An
@@ -56,8 +56,8 @@ class Key:
 
 
 def interpolate(
-    keys: Sequence[Key], times: npt.ArrayLike, moments: npt.ArrayLike, *, closed: bool = False
-) -> list[Key]:
+    keys: Sequence[Keyframe], times: npt.ArrayLike, moments: npt.ArrayLike, *, closed: bool = False
+) -> list[Keyframe]:
     """Interpolates keyframes at given times. The trajectory passes every keyframe with a continuous velocity.
 
     The velocities at keyframes are those of Catmull and Rom for unequal intervals: of the parabola
@@ -87,7 +87,7 @@ def interpolate(
     curve = CubicHermiteSpline(at, values, velocities)(when)
     turned = _turn(rotations, at, when, closed)
     return [
-        Key(row[:3], rotation, 2 * np.arctan(np.exp(-row[3])))
+        Keyframe(row[:3], rotation, 2 * np.arctan(np.exp(-row[3])))
         for row, rotation in zip(curve, turned, strict=True)
     ]
 

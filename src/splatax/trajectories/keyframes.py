@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from splatax.camera import Camera
 from splatax.errors import FormatError
-from splatax.trajectories.interpolation import Key, Size, interpolate
+from splatax.trajectories.interpolation import Keyframe, Size, interpolate
 
 
 def read(path: Path, frames: int, size: Size) -> list[Camera]:
@@ -49,7 +49,7 @@ def read(path: Path, frames: int, size: Size) -> list[Camera]:
     return [key.camera(size) for key in interpolate(keys, times, moments, closed=closed)]
 
 
-def write(keys: Sequence[Key]) -> bytes:
+def write(keys: Sequence[Keyframe]) -> bytes:
     """Returns the contents of a JSON file with these keyframes."""
     rows = [
         {
@@ -62,14 +62,14 @@ def write(keys: Sequence[Key]) -> bytes:
     return json.dumps({"closed": False, "keyframes": rows}, indent=1).encode()
 
 
-def _key(row: dict[str, Any]) -> Key:
+def _key(row: dict[str, Any]) -> Keyframe:
     position, wxyz = (np.array(row[name], np.float64) for name in ("position", "wxyz"))
     fov = float(row["fov"])
     if position.shape != (3,) or wxyz.shape != (4,) or not np.isfinite([*position, *wxyz]).all():
         raise ValueError("position has 3 numbers, wxyz has 4")
     if not 0 < fov < 180:
         raise ValueError(f"fov is an angle of 0 to 180 degrees, not {fov}")
-    return Key(position, Rotation.from_quat(wxyz, scalar_first=True), np.radians(fov))
+    return Keyframe(position, Rotation.from_quat(wxyz, scalar_first=True), np.radians(fov))
 
 
 def _times(rows: list[dict[str, Any]], closed: bool) -> list[float]:

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from splatax.camera import Camera, look_at
 from splatax.errors import InputError
-from splatax.trajectories.interpolation import Key, Size
+from splatax.trajectories.interpolation import Keyframe, Size
 
 FOCAL = 0.8  # focal length for a scene without cameras, in units of the longer side of the image
 VIEW = (0.5, 0.2, 1.0)  # viewing direction for a scene without cameras: from above if y points down
@@ -141,13 +141,13 @@ def _positions(cameras: Sequence[Camera]) -> Float[np.ndarray, "n 3"]:
 
 
 def _fov(cameras: Sequence[Camera], size: Size) -> float:
-    return float(np.median([Key.of(camera, size).fov for camera in cameras]))
+    return float(np.median([Keyframe.of(camera, size).fov for camera in cameras]))
 
 
-def _looking(position: np.ndarray, target: np.ndarray, up: np.ndarray, fov: float) -> Key:
+def _looking(position: np.ndarray, target: np.ndarray, up: np.ndarray, fov: float) -> Keyframe:
     forward = (target - position) / np.linalg.norm(target - position)
     right = np.cross(forward, up)
     right = right / np.linalg.norm(right)
-    return Key(
+    return Keyframe(
         position, Rotation.from_matrix(np.stack([right, np.cross(forward, right), forward], axis=1)), fov
     )

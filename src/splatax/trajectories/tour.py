@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from splatax.camera import Camera
-from splatax.trajectories.interpolation import Key, Size, interpolate
+from splatax.trajectories.interpolation import Keyframe, Size, interpolate
 
 TURN = 1.0  # radians of rotation that count as much as the spread of the cameras
 STATIONS = 24  # most cameras that a tour passes: more make a video restless
@@ -22,7 +22,7 @@ def tour(cameras: Sequence[Camera], frames: int, size: Size) -> list[Camera]:
         frames: number of cameras to return.
         size: width and height of the frames, pixels.
     """
-    keys = [Key.of(camera, size) for camera in cameras]
+    keys = [Keyframe.of(camera, size) for camera in cameras]
     between = distances(keys)
     order = short_way(between)
     chosen = np.unique(np.round(np.linspace(0, len(order) - 1, min(len(order), STATIONS))).astype(int))
@@ -37,7 +37,7 @@ def tour(cameras: Sequence[Camera], frames: int, size: Size) -> list[Camera]:
     return [key.camera(size) for key in interpolate([keys[i] for i in kept], times, moments)]
 
 
-def distances(keys: Sequence[Key]) -> Float[np.ndarray, "n n"]:
+def distances(keys: Sequence[Keyframe]) -> Float[np.ndarray, "n n"]:
     """Returns the distances between keyframes: of positions, in units of their spread, plus angles."""
     positions = np.stack([key.position for key in keys])
     spread = np.linalg.norm(positions - positions.mean(axis=0), axis=1).mean() or 1.0

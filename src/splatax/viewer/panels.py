@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from splatax.dataset import View
-from splatax.trajectories import Key, keyframes
+from splatax.trajectories import Keyframe, keyframes
 from splatax.viewer.pictures import MODES, Look
 from splatax.viewer.poses import Pose, pose_of
 
@@ -33,7 +33,7 @@ class Panels:
         self.look, self.largest, self.paused = look, 1080, False
         self._gui, self._changed = server.gui, changed
         self._views = {view.name: view.camera for view in views}
-        self._path: list[Key] = []
+        self._path: list[Keyframe] = []
         self._frames: list[tuple[float, float]] = []  # time of drawing, and its seconds
         self._told, self._drawn_curve = 0.0, 0.0
         self._curve: Any = None

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from splatax.camera import Camera
-from splatax.trajectories import Key
+from splatax.trajectories import Keyframe
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,9 @@ class Pose:
     window: tuple[int, int]
 
     @property
-    def key(self) -> Key:
+    def key(self) -> Keyframe:
         """The same pose as a keyframe of a trajectory."""
-        return Key(self.position, Rotation.from_quat(self.wxyz, scalar_first=True), self.fov)
+        return Keyframe(self.position, Rotation.from_quat(self.wxyz, scalar_first=True), self.fov)
 
     def camera(self, size: tuple[int, int]) -> Camera:
         """Returns the camera whose frame of this size fills the window.

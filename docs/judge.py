@@ -1,10 +1,10 @@
-"""An independent judge: draws a saved scene from the held-out cameras without any code of splatax.
+"""Scores a saved scene independently: renders it from the held-out cameras without any code of splatax.
 
     python docs/judge.py CAPTURE SCENE.ply
 
-NumPy, one Gaussian after the other in float64, straight from the formulas of Kerbl et al. 2023 and
-Zwicker et al. 2001; needs pycolmap and Pillow. For captures of COLMAP with pinhole cameras and photos
-of their size; every 8th photo by name is held out, the background is black.
+The renderer is NumPy, one Gaussian after the other in float64, directly from the formulas of Kerbl et al.
+2023 and Zwicker et al. 2001. It needs pycolmap and Pillow, and a COLMAP capture with pinhole cameras and
+photos of the cameras' size. Every 8th photo by name is held out; the background is black.
 """
 
 import sys
@@ -16,7 +16,7 @@ from PIL import Image
 
 
 def read(path):
-    """Columns of a binary PLY file of floats, by name."""
+    """Reads the columns of a binary PLY file of floats, by name."""
     head, body = path.read_bytes().split(b"end_header\n", 1)
     lines = [line.split() for line in head.decode().splitlines()]
     names = [words[2] for words in lines if words[0] == "property"]
@@ -26,7 +26,10 @@ def read(path):
 
 
 def harmonics(d):
-    """The 16 real spherical harmonics up to degree 3 in directions d (n, 3), with Condon-Shortley signs."""
+    """Returns the 16 real spherical harmonics up to degree 3 at unit directions d (n, 3).
+
+    The signs include the Condon-Shortley phase.
+    """
     x, y, z = d.T
     pi = np.pi
     a, b, c = np.sqrt(3 / (4 * pi)), np.sqrt(15 / (4 * pi)), np.sqrt(5 / (16 * pi))
@@ -42,6 +45,7 @@ def harmonics(d):
 
 
 def rotations(q):
+    """Returns the rotation matrices (n, 3, 3) of quaternions (n, 4), wxyz."""
     w, x, y, z = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
     return np.stack([
         1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
@@ -51,7 +55,7 @@ def rotations(q):
 
 
 def project(scene, pose, k, width, height):
-    """Means (n, 2), covariances (n, 2, 2), depths (n,), opacities (n,) and colours (n, 3) in an image."""
+    """Projects a scene to means (n, 2), covariances (n, 2, 2), depths, opacities (n,) and colours (n, 3)."""
 
     def columns(*names):
         return np.stack([scene[name] for name in names], axis=1)
@@ -82,7 +86,7 @@ def project(scene, pose, k, width, height):
 
 
 def draw(means, covariances, depths, opacities, colors, size):
-    """An image (height, width, 3) over black."""
+    """Draws splats as an image (height, width, 3) over black."""
     width, height = size
     image, left = np.zeros((height, width, 3)), np.ones((height, width))
     u, v = means.T

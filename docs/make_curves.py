@@ -1,10 +1,10 @@
-"""Draws test PSNR against seconds of training, for runs of one capture that were evaluated on the way.
+"""Draws test PSNR over seconds of training, for runs of one capture that were evaluated during training.
 
     splatax train fern --recipe classic --steps 3000 --eval-every 200 --out runs/classic
     ...
     python docs/make_curves.py runs/default runs/classic runs/absgrad runs/mcmc
 
-Writes docs/images/curves.png. Each run is named after its folder.
+The script writes docs/images/curves.png. Each run has the name of its folder.
 """
 
 import json

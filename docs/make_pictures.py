@@ -1,9 +1,9 @@
-"""Makes the pictures of these pages from a capture and a finished run on it.
+"""Draws the pictures of the docs from a capture and a finished run on it.
 
     splatax train CAPTURE --out RUN --steps 2000
     python docs/make_pictures.py CAPTURE RUN
 
-Writes docs/images/{overview,initialization,ellipses,tiles,depth,progress}.jpg.
+The script writes docs/images/{overview,initialization,ellipses,tiles,depth,progress}.jpg.
 """
 
 import sys
@@ -49,19 +49,24 @@ def main(capture: Path, run: Path) -> None:
 
 
 def save(name: str, *pictures: np.ndarray) -> None:
-    """Pictures side by side, as one file."""
+    """Writes pictures side by side, as one file."""
     gap = np.full((pictures[0].shape[0], GAP, 3), 255, np.uint8)
     row = [part for each in pictures for part in (gap, each)][1:]
     Image.fromarray(np.concatenate(row, axis=1)).save(IMAGES / f"{name}.jpg", quality=QUALITY)
 
 
 def ellipses(splats: sx.Splats, every: int) -> np.ndarray:
-    """Discs at one standard deviation of every so many of the splats of a view, far ones first."""
+    """Draws the splats of a view as discs of one standard deviation, far ones first.
+
+    Args:
+        splats: the splats.
+        every: draw one out of this many.
+    """
     visible = np.flatnonzero((np.asarray(splats.extents)[:, 0] > 0) & (np.asarray(splats.opacities) > 0.2))
     chosen = visible[np.argsort(-np.asarray(splats.depths)[visible])][::every]
     roots = np.zeros((len(chosen), 2, 2))
     roots[:, [0, 0, 1], [0, 1, 1]] = np.asarray(splats.sqrt_conics)[chosen]
-    # Of the inverse of the root: axes are left singular vectors, lengths singular values.
+    # The inverse of the root has the axes as left singular vectors and the lengths as singular values.
     axes, lengths, _ = np.linalg.svd(np.linalg.inv(roots))
     discs = EllipseCollection(
         *(2 * lengths.T),
@@ -82,14 +87,14 @@ def ellipses(splats: sx.Splats, every: int) -> np.ndarray:
 
 
 def canvas(figure: Figure) -> np.ndarray:
-    """What a figure shows, as pixels."""
+    """Returns a figure as RGB pixels."""
     drawing = FigureCanvasAgg(figure)
     drawing.draw()
     return np.asarray(drawing.buffer_rgba())[..., :3].copy()
 
 
 def tiles(splats: sx.Splats) -> np.ndarray:
-    """How many splats each tile of the `xla` rasterizer blends at most: bright is many."""
+    """Draws the number of splats in the list of each tile of the `xla` rasterizer; bright is many."""
     grid = Grid(splats.width, splats.height)
     boxes = tile_boxes(splats, grid)
     counts, cursor = np.zeros(grid.tiles, int), Cursor.start()

@@ -1,8 +1,8 @@
-"""Draws how the cost of the native rasterizer grows: with Gaussians, with pixels, and with threads.
+"""Draws the time of the native rasterizer over Gaussians, pixels and threads.
 
     python docs/make_scaling.py
 
-Writes docs/images/scaling.png, and prints the numbers.
+The script writes docs/images/scaling.png, and prints the numbers.
 """
 
 import os
@@ -25,7 +25,7 @@ SIZE, COUNT, ROUNDS = (504, 378), 150_000, 15
 
 
 def gradient(count: int, size: tuple[int, int], threads: int = cpu.ALL_THREADS):
-    """Forward and backward of the rasterizer."""
+    """Returns an operation that runs the rasterizer forward and backward on a procedural scene."""
     scene, rasterizer = procedural(count, size), cpu.kernels(threads=threads)
     splats = sx.project(scene.gaussians, scene.camera)
 

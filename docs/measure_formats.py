@@ -1,9 +1,9 @@
-"""Measures docs/formats.md: sizes, and how far pictures of a reloaded scene are from the original's.
+"""Measures the tables of docs/formats.md: file sizes, times, and PSNR of renderings after a round trip.
 
 python docs/measure_formats.py SCENE [--degree 3] [--views 6] [--capture FOLDER]
 
-With --degree, harmonics that vary over space are made up for a scene that has none. With --capture,
-the views are its test views; without, they look at the scene from around it.
+--degree adds synthetic harmonics, which vary over space, to a scene that has none. The views are the test
+views of --capture or, by default, views from around the scene.
 """
 
 import argparse
@@ -23,7 +23,7 @@ SIZE, FOCAL = (800, 600), 900.0
 
 
 def orbit(gaussians: sx.Gaussians, views: int) -> list[sx.Camera]:
-    """Cameras around the middle of a scene, a little above it, that see most of it."""
+    """Returns cameras around the centre of a scene, slightly above it, that see most of it."""
     means = np.asarray(gaussians.means)
     low, high = np.quantile(means, [0.05, 0.95], axis=0)
     centre, radius = (low + high) / 2, 1.6 * float(np.linalg.norm(high - low))
@@ -36,7 +36,7 @@ def orbit(gaussians: sx.Gaussians, views: int) -> list[sx.Camera]:
 
 
 def with_harmonics(gaussians: sx.Gaussians, degree: int) -> sx.Gaussians:
-    """Made-up view dependence: smooth over space, weaker in higher bands, and a little noise."""
+    """Adds synthetic view dependence: smooth over space, weaker in higher bands, with some noise."""
     rng = np.random.default_rng(0)
     means = np.asarray(gaussians.means)
     waves = np.sin(means[:, None] * np.array([1.0, 3.0, 9.0])[:, None]).reshape(len(means), 9)

@@ -10,10 +10,10 @@ import splatax
 ROOT = Path(splatax.__file__).parent
 LAYERS = (  # lowest first; a package stands for all its modules
     {"math", "errors", "shapes", "varying"},
-    {"gaussians", "splats", "camera", "dataset", "forecast", "resampling", "similarity"},
+    {"gaussians", "splats", "camera", "dataset", "forecast", "resampling", "transforms"},
     {"projection", "losses", "metrics", "lpips", "io"},
     {"backends"},
-    {"rendering", "paths"},
+    {"rendering", "trajectories"},
     {"training", "evaluation", "editing"},
     {"report", "demo", "bench", "budget", "reconstruction", "inspection", "notebook", "web"},
     {"viewer"},

@@ -1,4 +1,4 @@
-"""A scene inside a notebook, where the result of a cell is shown."""
+"""Display of a scene as the result of a notebook cell."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -15,12 +15,12 @@ from splatax.rendering import BLACK
 
 @dataclass(frozen=True)
 class Inline:
-    """What notebooks show in place of text: a page in a frame of its own, which asks the network for nothing.
+    """An HTML page that notebooks show in an iframe. It makes no network requests.
 
     Attributes:
-        title: of the page.
-        page: its HTML.
-        height: of the frame, CSS pixels.
+        title: title of the page.
+        page: HTML of the page.
+        height: height of the iframe, CSS pixels.
     """
 
     title: str
@@ -28,7 +28,7 @@ class Inline:
     height: int = 480
 
     def _repr_html_(self) -> str:
-        """The frame. IPython's protocol, which Jupyter, VS Code and Colab share."""
+        """Returns the iframe. This is IPython's display protocol, which Jupyter, VS Code and Colab share."""
         return (
             f'<iframe title="{escape(self.title)}" srcdoc="{escape(self.page)}" width="100%" '
             f'height="{self.height}" style="border: 0" allow="fullscreen"></iframe>'
@@ -44,21 +44,21 @@ def view(
     low_pass: LowPass = Dilation(),
     height: int = 480,
 ) -> Inline:
-    """Shows a scene in a notebook, as the last line of a cell: it can be turned, also in the saved file.
+    """Shows a scene in a notebook, as the last line of a cell. It stays interactive in the saved notebook.
 
     Args:
         gaussians: the scene, with SH up to degree 3.
-        views: of the capture, such as `dataset.views`: their cameras become places to look from.
+        views: views whose cameras become viewpoints, such as `dataset.views`.
         title: any text.
         background: display-referred RGB behind the scene, in [0, 1].
-        low_pass: as the scene was trained.
-        height: of the frame, CSS pixels; it is as wide as the notebook.
+        low_pass: filter that the scene was trained with.
+        height: height of the iframe, CSS pixels; it is as wide as the notebook.
 
     Raises:
         InputError: if the viewer has not been built.
-        FormatError: if the scene is empty, or has harmonics that the viewer cannot draw.
+        FormatError: if the scene is empty, or its SH degree is above 3.
     """
-    from splatax import web  # here, so that `import splatax` does without it
+    from splatax import web  # here, so that `import splatax` does not load it
 
     cameras = {view.name: view.camera for view in views}
     red, green, blue = (float(value) for value in background)

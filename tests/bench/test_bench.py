@@ -5,7 +5,7 @@ import pytest
 
 import splatax as sx
 from scenes import random_gaussians
-from splatax.bench import limits, timing
+from splatax.bench import roofline, timing
 from splatax.bench.scenes import framed, procedural
 
 
@@ -54,7 +54,7 @@ def test_a_scene_without_harmonics_is_timed_with_as_many_numbers_as_in_training(
 def test_drawn_slots_are_those_of_the_blending_rule():
     scene = procedural(300, (40, 30))
     splats = sx.project(scene.gaussians, scene.camera)
-    counted = limits.slots(splats)
+    counted = roofline.slots(splats)
     if counted is None:
         pytest.skip("no native library here")
     y, x = np.mgrid[:30, :40] + 0.5
@@ -71,11 +71,11 @@ def test_drawn_slots_are_those_of_the_blending_rule():
         transmittance = np.where(seen & alive, left, transmittance)
     assert counted.drawn == pytest.approx(drawn, rel=1e-3)
     assert counted.evaluated >= counted.drawn
-    assert limits.shortest("rasterize", counted, 33.0) == pytest.approx(counted.evaluated * 1e3)
+    assert roofline.shortest("rasterize", counted, 33.0) == pytest.approx(counted.evaluated * 1e3)
 
 
 def test_the_measured_peak_is_one_that_a_processor_can_have():
-    flops = limits.peak_flops()
+    flops = roofline.peak_flops()
     if flops is None:
         pytest.skip("no native library here")
     assert 1e9 < flops < 1e14

@@ -9,7 +9,7 @@ from PIL import Image
 from test_refusals import refused
 
 import splatax as sx
-from splatax import cli, paths
+from splatax import cli, trajectories
 from splatax.io import video
 from splatax.metrics import to_8bit
 
@@ -41,7 +41,7 @@ def test_a_folder_of_frames_shows_what_the_cameras_of_the_path_see(trained, capt
     cameras = [view.camera for view in sx.load_dataset(capture).views]
     expected = [
         to_8bit(np.asarray(sx.render(sx.load(trained / "scene.ply"), camera).rgb))
-        for camera in paths.tour(cameras, 4, CAPTURE_SIZE)
+        for camera in trajectories.tour(cameras, 4, CAPTURE_SIZE)
     ]
     for i, picture in enumerate(expected):
         assert_array_equal(np.asarray(Image.open(out / f"frame{i:05}.png")), picture)

@@ -137,5 +137,5 @@ def test_levelling_an_upside_down_scene_and_an_upright_one():
 def test_cameras_that_disagree_about_up_are_refused():
     ups = ([0.0, 1.0, 0.0], [0.0, -1.0, 0.0])
     poses = [sx.look_at(jnp.array([0.0, 0.0, -4.0]), jnp.zeros(3), jnp.array(up)) for up in ups]
-    with pytest.raises(InputError, match="--rotate"):
+    with pytest.raises(InputError, match="Give a rotation"):
         editing.level([replace(CAMERA, cam_from_world=pose) for pose in poses])

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 import splatax as sx
 from scenes import random_gaussians
 from splatax.io import formats
-from splatax.similarity import Similarity, half_turn
+from splatax.transforms import Similarity, half_turn
 
 pytestmark = pytest.mark.slow
 

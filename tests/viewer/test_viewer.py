@@ -200,7 +200,7 @@ def test_nobody_who_looks_is_no_work(viewer, monkeypatch):
 
 def test_a_frame_is_sent_when_something_changed_and_in_full_at_rest(viewer):
     gaussians, client = random_gaussians(), Client()
-    viewer._sit(client)
+    viewer._connect(client)
     assert viewer.draw(gaussians)
     time.sleep(0.3)
     assert viewer.draw(gaussians)
@@ -210,7 +210,7 @@ def test_a_frame_is_sent_when_something_changed_and_in_full_at_rest(viewer):
     assert viewer.draw(gaussians)
     client.moved(None)
     assert viewer.draw(gaussians)
-    viewer._leave(client)
+    viewer._disconnect(client)
     assert not viewer.watched
 
 
@@ -220,7 +220,7 @@ def test_drawing_stays_within_its_share_of_training(viewer):
 
     audience, client, history = Audience(viewer), Client(), History(losses=[0.5, 0.4])
     progress = progress_of(random_gaussians())
-    viewer._sit(client)
+    viewer._connect(client)
     audience.show(progress, history, lambda: False)
     time.sleep(0.3)
     audience.show(progress, history, lambda: False)  # compiles the size of frames at rest
@@ -238,10 +238,10 @@ def test_a_pause_ends_when_all_have_left(viewer):
 
     audience, client = Audience(viewer), Client()
     progress = progress_of(random_gaussians())
-    viewer._sit(client)
+    viewer._connect(client)
     viewer.panels.paused = True
     assert audience.waits
-    leaving = threading.Timer(0.5, viewer._leave, [client])
+    leaving = threading.Timer(0.5, viewer._disconnect, [client])
     leaving.start()
     start = time.monotonic()
     audience.show(progress, History(losses=[0.4]), lambda: False)
@@ -260,9 +260,9 @@ def test_addresses_that_are_not_ours_are_refused():
     pytest.importorskip("viser")
     from splatax.viewer.server import Viewer
 
-    with pytest.raises(InputError, match="--host"):
+    with pytest.raises(InputError, match="cannot listen there"):
         Viewer((), centered(), np.zeros(3), Look(), host="203.0.113.1")
-    with pytest.raises(InputError, match="--port"):
+    with pytest.raises(InputError, match="port 80: must be"):
         Viewer((), centered(), np.zeros(3), Look(), port=80)
 
 

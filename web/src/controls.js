@@ -1,16 +1,16 @@
-// Mouse, touch and keys -> motion of a pose. All input is kept as a debt that is paid off within a
+// Moves a pose by mouse, touch and keys. Input is stored as pending motion, which is applied within a
 // fraction of a second, so that motion is smooth on any device.
 import { MathUtils, Vector3 } from 'three';
 
-const SETTLE = 0.06; // seconds
+const SETTLE = 0.06; // seconds: time constant of the pending motion
 const UP = new Vector3(0, 1, 0);
 const STEEPEST = MathUtils.degToRad(86);
 const NEAREST = 0.02; // distance to the pivot
-const WHEEL = 0.0015; // of the distance, for each pixel of scrolling
-const KEY_SPEED = 0.8; // distances to the pivot a second
-const KEY_TURN = 1.2; // radians a second
+const WHEEL = 0.0015; // fraction of the distance for each pixel of scrolling
+const KEY_SPEED = 0.8; // distances to the pivot per second
+const KEY_TURN = 1.2; // radians per second
 const FASTER = 4; // with Shift
-const LEVELLING = 3; // how soon the horizon becomes level, per radian turned
+const LEVELLING = 3; // rate at which the horizon becomes level, per radian of rotation
 
 const MOVES = {
   KeyW: ['ahead', 1], KeyS: ['ahead', -1], KeyD: ['right', 1], KeyA: ['right', -1],
@@ -19,12 +19,12 @@ const MOVES = {
 }; // prettier-ignore
 
 export class Controls {
-  mode = 'orbit'; // or 'fly': turns where it stands
-  #owed = { yaw: 0, pitch: 0, right: 0, up: 0, ahead: 0, zoom: 0 };
+  mode = 'orbit'; // or 'fly', which rotates about the camera itself
+  #pending = { yaw: 0, pitch: 0, right: 0, up: 0, ahead: 0, zoom: 0 };
   #keys = new Set();
   #pointers = new Map();
 
-  /** onInput is called when the user takes over. */
+  /** Listens to a canvas, and calls onInput whenever the user moves the camera. */
   constructor(canvas, onInput) {
     this.canvas = canvas;
     this.onInput = onInput;
@@ -40,30 +40,30 @@ export class Controls {
     addEventListener('blur', () => this.#keys.clear());
   }
 
-  /** Forgets motion that is under way. */
+  /** Discards the pending motion. */
   stop() {
-    for (const name in this.#owed) this.#owed[name] = 0;
+    for (const name in this.#pending) this.#pending[name] = 0;
   }
 
-  /** Moves a pose by what is owed for some seconds. Returns whether it moved. */
+  /** Applies the pending motion of some seconds to a pose. Returns whether the pose moved. */
   advance(pose, seconds) {
     this.#holdKeys(seconds);
-    const share = 1 - Math.exp(-seconds / SETTLE);
-    const paid = {};
+    const fraction = 1 - Math.exp(-seconds / SETTLE);
+    const applied = {};
     let moved = false;
-    for (const [name, value] of Object.entries(this.#owed)) {
-      paid[name] = Math.abs(value) < 1e-5 ? value : value * share;
-      this.#owed[name] -= paid[name];
-      moved ||= paid[name] !== 0;
+    for (const [name, value] of Object.entries(this.#pending)) {
+      applied[name] = Math.abs(value) < 1e-5 ? value : value * fraction;
+      this.#pending[name] -= applied[name];
+      moved ||= applied[name] !== 0;
     }
-    if (moved) this.#apply(pose, paid);
+    if (moved) this.#apply(pose, applied);
     return moved;
   }
 
   #apply(pose, { yaw, pitch, right, up, ahead, zoom }) {
     const orbit = this.mode === 'orbit';
     const point = orbit ? pose.pivot : pose.position.clone();
-    const sign = orbit ? -1 : 1; // what is dragged follows the pointer
+    const sign = orbit ? -1 : 1; // the dragged object follows the pointer
     pose.turn(point, UP, sign * yaw);
     const elevation = Math.asin(MathUtils.clamp(pose.forward.y, -1, 1));
     const steepest = Math.max(STEEPEST, Math.abs(elevation));
@@ -82,14 +82,14 @@ export class Controls {
     }
   }
 
-  /** Turns the horizon towards level. Looking straight up or down there is none. */
-  #level(pose, share) {
+  /** Rotates the pose by a fraction towards a level horizon. Straight up and down have no horizon. */
+  #level(pose, fraction) {
     const forward = pose.forward;
     const horizontal = new Vector3().crossVectors(forward, UP);
     if (horizontal.length() < 0.05) return;
     const right = pose.right;
     const sine = new Vector3().crossVectors(horizontal.normalize(), right).dot(forward);
-    pose.turn(pose.position.clone(), forward, -share * Math.atan2(sine, horizontal.dot(right)));
+    pose.turn(pose.position.clone(), forward, -fraction * Math.atan2(sine, horizontal.dot(right)));
   }
 
   #press(event) {
@@ -108,24 +108,24 @@ export class Controls {
     const height = this.canvas.clientHeight;
     if (this.#pointers.size > 1) {
       this.#pan(dx / this.#pointers.size / height, dy / this.#pointers.size / height);
-      this.#owed.zoom += Math.log(this.#spread() / before);
+      this.#pending.zoom += Math.log(this.#spread() / before);
     } else if (event.buttons & 6 || event.shiftKey) {
       this.#pan(dx / height, dy / height);
     } else {
       const radians = (this.mode === 'orbit' ? Math.PI : 1.2) / height;
-      this.#owed.yaw += dx * radians;
-      this.#owed.pitch += dy * radians;
+      this.#pending.yaw += dx * radians;
+      this.#pending.pitch += dy * radians;
     }
     this.onInput();
   }
 
-  /** By fractions of the window's height. */
+  /** Moves sideways, by fractions of the window's height. */
   #pan(dx, dy) {
-    this.#owed.right -= dx;
-    this.#owed.up += dy;
+    this.#pending.right -= dx;
+    this.#pending.up += dy;
   }
 
-  /** Distance between two fingers. */
+  /** Returns the distance between two fingers, pixels; 1 for one finger. */
   #spread() {
     const [a, b] = this.#pointers.values();
     return b ? Math.max(Math.hypot(a.x - b.x, a.y - b.y), 1) : 1;
@@ -134,7 +134,7 @@ export class Controls {
   #wheel(event) {
     event.preventDefault();
     const pixels = event.deltaY * [1, 16, 400][event.deltaMode];
-    this.#owed.zoom -= MathUtils.clamp(pixels * WHEEL * (event.ctrlKey ? 5 : 1), -0.5, 0.5);
+    this.#pending.zoom -= MathUtils.clamp(pixels * WHEEL * (event.ctrlKey ? 5 : 1), -0.5, 0.5);
     this.onInput();
   }
 
@@ -152,7 +152,7 @@ export class Controls {
       const [name, sign] = MOVES[code];
       const turns = name === 'yaw' || name === 'pitch';
       const rate = turns ? KEY_TURN * (this.mode === 'orbit' ? -1 : 1) : KEY_SPEED * (this.shift ? FASTER : 1);
-      this.#owed[name] += sign * rate * seconds;
+      this.#pending[name] += sign * rate * seconds;
     }
   }
 }

@@ -1,10 +1,10 @@
-// The page: a scene, the ways to look at it, and the buttons for them.
+// The page: connects the scene, the motions of the camera, and the buttons.
 import { Controls } from './controls.js';
 import { Glide, Path, Turntable } from './motion.js';
 import { Pose } from './pose.js';
 import { Stage } from './stage.js';
 
-const LONGEST_FRAME = 0.1; // seconds: motion does not jump after a pause
+const LONGEST_FRAME = 0.1; // seconds: keeps motion from jumping after a pause
 const GLIDE = matchMedia('(prefers-reduced-motion: reduce)').matches ? 0 : 0.8; // seconds from camera to camera
 const find = (id) => document.getElementById(id);
 const page = JSON.parse(find('page').textContent);
@@ -14,7 +14,7 @@ const start = Pose.of(page.start);
 class Viewer {
   pose = start.clone();
   motion = null;
-  shown = page.start.camera; // index of the camera that one looks through; -1 for none
+  shown = page.start.camera; // index of the current camera; -1 for a free view
   settled = false; // whether the picture is final
 
   constructor() {
@@ -38,7 +38,7 @@ class Viewer {
     requestAnimationFrame(frame);
   }
 
-  /** Goes to the camera of that index; past the last comes the first. */
+  /** Moves to the camera with this index; the first camera follows the last. */
   show(index) {
     this.shown = (index + cameras.length) % cameras.length;
     this.#move(new Glide(this.pose, cameras[this.shown], GLIDE));
@@ -85,7 +85,7 @@ class Viewer {
   }
 }
 
-/** Makes the buttons say what is. */
+/** Updates the buttons to the state of the viewer. */
 function update() {
   find('play').setAttribute('aria-pressed', viewer.playing);
   find('mode').setAttribute('aria-pressed', viewer.controls.mode === 'fly');

@@ -1,13 +1,13 @@
-// Motions that play by themselves. Each has advance(pose, seconds) -> the next pose, and `done`.
+// Automatic motions. Each has `advance(pose, seconds)`, which returns the next pose, and `done`.
 import { Vector3 } from 'three';
 import { blend } from './pose.js';
 
-const TURNTABLE = 0.25; // radians a second
-const LONGEST = 60; // seconds that a path may take
-const NEAR = 3; // steps: ends of a path that are as near are joined
+const TURNTABLE = 0.25; // radians per second
+const LONGEST = 60; // seconds: longest duration of a path
+const NEAR = 3; // median steps: a path whose ends are closer is closed
 const UP = new Vector3(0, 1, 0);
 
-/** From where one is to a pose, within some seconds. */
+/** Moves from one pose to another in a given number of seconds. */
 export class Glide {
   constructor(start, end, duration) {
     Object.assign(this, { start: start.clone(), end, duration, seconds: 0, done: false });
@@ -22,7 +22,7 @@ export class Glide {
   }
 }
 
-/** Through cameras, smoothly: a uniform cubic B-spline of their poses, round and round or to and fro. */
+/** Flies along a uniform cubic B-spline of camera poses, in a loop or back and forth. */
 export class Path {
   constructor(poses) {
     const steps = poses.slice(1).map((pose, i) => pose.position.distanceTo(poses[i].position));
@@ -40,7 +40,7 @@ export class Path {
     return this.at(this.seconds / this.pace);
   }
 
-  /** At a fractional camera. */
+  /** Returns the pose at a fractional camera index. */
   at(u) {
     const n = this.poses.length;
     const index = (i) => (this.closed ? (i + n) % n : Math.min(Math.max(i, 0), n - 1));
@@ -53,7 +53,7 @@ export class Path {
   }
 }
 
-/** Round what is in the middle. */
+/** Rotates around the pivot at constant speed. */
 export class Turntable {
   done = false;
 

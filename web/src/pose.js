@@ -1,15 +1,15 @@
-// Where the viewer's camera is, what it looks at, and through which lens.
+// Poses of the viewer's camera: position, rotation, lens and pivot.
 import { MathUtils, Quaternion, Vector3 } from 'three';
 
-const MOST_CROPPED = 1.6; // times: a window of another shape than the photo cuts off no more
+const MOST_CROPPED = 1.6; // largest factor by which a window of another shape crops the photo
 const LENS = ['aspect', 'fx', 'fy', 'sx', 'sy'];
 
 /**
- * Axes are three.js's: x right, y up, and it looks along -z.
+ * A pose in three.js's axes: x right, y up, looking along -z.
  *
- * lens: of the photo, in units of half its width and height: focal lengths fx, fy, shift of the
+ * lens: of the photo, in units of half its width and height: focal lengths fx, fy, and the shift of the
  * principal point sx, sy; and the aspect, width / height.
- * focus: distance of what it turns around.
+ * focus: distance to the pivot, which the camera orbits.
  */
 export class Pose {
   constructor(position, quaternion, lens, focus) {
@@ -40,7 +40,7 @@ export class Pose {
     return this.forward.multiplyScalar(this.focus).add(this.position);
   }
 
-  /** Turns around an axis through a point. */
+  /** Rotates about an axis through a point. */
   turn(point, axis, angle) {
     const turn = new Quaternion().setFromAxisAngle(axis, angle);
     this.position.sub(point).applyQuaternion(turn).add(point);
@@ -48,7 +48,7 @@ export class Pose {
   }
 }
 
-/** The weighted mean of poses that lie near each other; weights sum to one. */
+/** Returns the weighted mean of poses that are close to each other; weights sum to one. */
 export function blend(poses, weights) {
   const position = new Vector3();
   const sum = [0, 0, 0, 0];
@@ -57,7 +57,7 @@ export function blend(poses, weights) {
   poses.forEach((pose, i) => {
     const weight = weights[i];
     position.addScaledVector(pose.position, weight);
-    const sign = pose.quaternion.dot(poses[0].quaternion) < 0 ? -1 : 1; // q and -q turn alike
+    const sign = pose.quaternion.dot(poses[0].quaternion) < 0 ? -1 : 1; // q and -q are the same rotation
     pose.quaternion.toArray().forEach((value, k) => (sum[k] += sign * weight * value));
     for (const name of LENS) lens[name] += weight * pose.lens[name];
     focus += weight * pose.focus;
@@ -66,8 +66,8 @@ export function blend(poses, weights) {
 }
 
 /**
- * The projection for a window: the photo fills it, so what it was not trained on stays outside,
- * unless more than MOST_CROPPED would be cut off.
+ * Sets the projection matrix for a window. The photo fills the window, so that areas without training
+ * data stay outside, unless more than MOST_CROPPED would be cropped.
  */
 export function project(matrix, lens, windowAspect, near, far) {
   const wider = windowAspect / lens.aspect;

@@ -1,21 +1,21 @@
-// The scene on a canvas: three.js's renderer, Spark's splats.
+// The scene on a canvas, rendered by three.js and Spark.
 import { SparkRenderer, SplatMesh } from '@sparkjsdev/spark';
 import { Color, PerspectiveCamera, Scene, SRGBColorSpace, WebGLRenderer } from 'three';
 import { project } from './pose.js';
 
-const FAR = 1e5; // for clipping alone: splats are sorted, not depth-tested
-const SHARPEST = 2; // device pixels for a CSS pixel
-export const QUALITIES = { high: 1, medium: 0.7, low: 0.45 }; // of the device's pixels, along each axis
-const SLOW = 45; // milliseconds a frame; "auto" then draws fewer pixels while something moves
+const FAR = 1e5; // only for clipping: splats are sorted, not depth-tested
+const SHARPEST = 2; // most device pixels per CSS pixel
+export const QUALITIES = { high: 1, medium: 0.7, low: 0.45 }; // fraction of the device's pixels along each axis
+const SLOW = 45; // milliseconds a frame, above which "auto" lowers the resolution while the view moves
 
 export class Stage {
   quality = 'auto';
-  settled = false; // whether the picture is final for the last pose
-  #reduced = 1; // what "auto" has come to
+  settled = false; // whether the frame is final for the last pose
+  #reduced = 1; // current fraction of pixels of "auto", along each axis
   #frames = [];
   #drawn = '';
   #size = '';
-  #fence = null; // passed when the device has drawn the last frame
+  #fence = null; // signalled when the device has drawn the last frame
   #began = 0;
 
   constructor(canvas, { background, lowPass, near }) {
@@ -25,7 +25,7 @@ export class Stage {
     this.scene.background = new Color().setRGB(...background, SRGBColorSpace);
     this.camera = new PerspectiveCamera();
     this.camera.matrixWorldAutoUpdate = false;
-    // As splatax draws: sorted by depth, footprints down to 1/255 and of any size, in 32-bit positions.
+    // The same as in splatax: sorted by depth, footprints of any size down to 1/255, 32-bit positions.
     this.spark = new SparkRenderer({
       renderer: this.renderer,
       preBlurAmount: lowPass.dilation,
@@ -41,7 +41,7 @@ export class Stage {
     this.scene.add(this.spark);
   }
 
-  /** Shows an SPZ file. */
+  /** Loads an SPZ file into the scene. */
   async load(fileBytes) {
     const mesh = new SplatMesh({ fileBytes, fileType: 'spz', extSplats: true, lod: false, raycastable: false });
     await mesh.initialized;
@@ -50,8 +50,8 @@ export class Stage {
   }
 
   /**
-   * Draws if something has changed: the pose, the window, or Spark has sorted anew. Leaves it for
-   * the next frame while the device is still busy with the last one: input then never lags behind.
+   * Draws a frame if the pose, the window or Spark's order of splats has changed. While the device is
+   * still busy with the last frame, nothing is drawn, so that input never lags behind.
    */
   draw(pose, moving) {
     const { clientWidth: width, clientHeight: height } = this.renderer.domElement;
@@ -72,7 +72,7 @@ export class Stage {
     gl.flush();
   }
 
-  /** Whether the device still draws the last frame. */
+  /** Returns whether the device is still drawing the last frame. */
   #busy(moving) {
     if (!this.#fence) return false;
     const gl = this.renderer.getContext();
@@ -109,11 +109,11 @@ export class Stage {
   }
 
   #pixelRatio(moving) {
-    const share = this.quality === 'auto' ? (moving ? this.#reduced : 1) : QUALITIES[this.quality];
-    return Math.min(devicePixelRatio, SHARPEST) * share;
+    const fraction = this.quality === 'auto' ? (moving ? this.#reduced : 1) : QUALITIES[this.quality];
+    return Math.min(devicePixelRatio, SHARPEST) * fraction;
   }
 
-  /** Draws fewer pixels while frames take long. */
+  /** Lowers the resolution if frames take too long. */
   #judge(milliseconds) {
     this.#frames.push(milliseconds);
     if (this.#frames.length < 12) return;

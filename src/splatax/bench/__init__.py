@@ -1,6 +1,8 @@
-"""The project's own stopwatch: what each part of rendering and training costs.
+"""Benchmarks of each part of rendering and training.
 
-scenes.py       what is drawn: procedural clouds of any size, splat files
-operations.py   what is timed: projection, rasterizer, loss, Adam, the whole step
-timing.py       how: all operations in turn, round after round
+scenes.py       the scenes: procedural ones of any size, and splat files
+operations.py   the operations: projection, rasterizer, loss, Adam, a whole training step
+timing.py       interleaved timing: all operations in turn, round after round
+roofline.py     the time that the arithmetic of the rasterizer takes at the machine's measured peak
+plot.py         time over the size of the scene, as a picture
 """

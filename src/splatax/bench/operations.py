@@ -1,4 +1,4 @@
-"""What is timed: each operation is a function without arguments that makes the device work."""
+"""The timed operations: functions without arguments that start work on the device."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -19,12 +19,12 @@ from splatax.training.loop import first_state
 from splatax.training.recipes import Recipe
 from splatax.training.step import train_step
 
-Operation = Callable[[], Any]  # returns arrays to wait for
+Operation = Callable[[], Any]  # returns the arrays to wait for
 BACKWARD = " F+B"  # forward and backward
 
 
 def operations(scene: Scene, backend: str) -> dict[str, Operation]:
-    """Everything that a backend has a part in, and Adam."""
+    """Returns every operation of a backend, and Adam, by name."""
     return {
         **projection(scene, backend),
         **rasterizer(scene, backend),
@@ -34,7 +34,7 @@ def operations(scene: Scene, backend: str) -> dict[str, Operation]:
 
 
 def projection(scene: Scene, backend: str) -> dict[str, Operation]:
-    """Splats from Gaussians; the gradient is that of Gaussians and camera."""
+    """Returns operations that project Gaussians: forward, and with gradients of Gaussians and camera."""
     gaussians, camera = scene.gaussians, scene.camera
     splats = project(gaussians, camera, backend=backend)
     cotangents = replace(splats, extents=jnp.zeros_like(splats.extents))
@@ -51,7 +51,7 @@ def projection(scene: Scene, backend: str) -> dict[str, Operation]:
 
 
 def rasterizer(scene: Scene, backend: str) -> dict[str, Operation]:
-    """Image from splats; the gradient is one of a weighted sum over the image."""
+    """Returns operations that rasterize splats: forward, and with the gradient of a weighted sum."""
     splats = project(scene.gaussians, scene.camera, backend=backend)
     weights, _ = images(scene.camera.height, scene.camera.width)
 
@@ -71,13 +71,13 @@ def rasterizer(scene: Scene, backend: str) -> dict[str, Operation]:
 
 
 def viewing(scene: Scene, backend: str) -> dict[str, Operation]:
-    """A frame as a viewer draws it."""
+    """Returns the operation that renders one frame, as a viewer does."""
     draw = jax.jit(partial(render, backend=backend))
     return {"render": lambda: draw(scene.gaussians, scene.camera).rgb}
 
 
 def training(scene: Scene, backend: str) -> dict[str, Operation]:
-    """The loss, Adam, and all together."""
+    """Returns operations for the loss with its gradient, Adam, and a whole training step."""
     image, photo = images(scene.camera.height, scene.camera.width)
     loss = partial(Photometric(), kernel=backends.kernels(backend).photometric)
     loss_gradient = jax.jit(jax.value_and_grad(loss))
@@ -89,15 +89,15 @@ def training(scene: Scene, backend: str) -> dict[str, Operation]:
 
 
 def images(height: int, width: int) -> tuple[jax.Array, jax.Array]:
-    """Two images that differ."""
+    """Returns two different images of random pixels."""
     rng = np.random.default_rng(0)
     first, second = rng.uniform(size=(2, height, width, 3)).astype(np.float32)
     return jnp.asarray(first), jnp.asarray(second)
 
 
 def adam(scene: Scene) -> Operation:
-    """The update of all fields, in place."""
-    # Copied, because the update uses up what it is given.
+    """Returns an operation that updates all fields of the scene by Adam, in place."""
+    # A copy, because the update donates its arguments.
     gaussians = jax.tree.map(jnp.array, scene.gaussians)
     carried = [gaussians, optimizer.ADAM.init(gaussians)]
     gradients = jax.tree.map(lambda leaf: jnp.full_like(leaf, 1e-8), gaussians)
@@ -112,9 +112,9 @@ def adam(scene: Scene) -> Operation:
 
 
 def step(scene: Scene, recipe: Recipe) -> Operation:
-    """A whole step of training: projection, rasterizer, loss, all gradients, Adam."""
+    """Returns an operation that makes a whole training step, from projection to Adam."""
     gaussians = jax.tree.map(jnp.array, scene.gaussians)
-    # A small extent, so that the means stay, and each step does the same work.
+    # A small extent keeps the means in place, so that each step does the same work.
     state = first_state(gaussians, recipe, extent=1e-6, photos=1)
     _, photo = images(scene.camera.height, scene.camera.width)
     batch = Batch(scene.camera, jnp.round(photo * 255).astype(jnp.uint8))

@@ -1,4 +1,4 @@
-"""Time against the size of the scene, for each operation and backend."""
+"""Plot of time over the size of the scene, for each operation and backend."""
 
 import io
 from collections import defaultdict
@@ -6,14 +6,19 @@ from typing import Any
 
 import numpy as np
 
-STYLES = ("-", "--", ":", "-.")  # of backends
+STYLES = ("-", "--", ":", "-.")  # one for each backend
 
 
 def plot(results: list[dict[str, Any]]) -> bytes:
-    """A PNG: medians over visible Gaussians, a panel for each image size. Crosses are other scenes.
+    """Plots median times over the number of visible Gaussians, with one panel for each image size.
+
+    Procedural scenes are joined by lines; other scenes are crosses.
 
     Args:
-        results: as in bench.json.
+        results: the results in bench.json, one for each scene and image size.
+
+    Returns:
+        The plot as a PNG file.
     """
     from matplotlib.figure import Figure  # slow to import
 
@@ -26,7 +31,7 @@ def plot(results: list[dict[str, Any]]) -> bytes:
         lines = defaultdict(list)
         for result in results:
             if (result["width"], result["height"]) == size:
-                # Scenes of one kind make a line; any other scene is a point by itself.
+                # Procedural scenes make a line; any other scene is a point by itself.
                 family = "" if result["procedural"] else result["scene"]
                 for row in result["operations"]:
                     key = row["operation"], row["backend"], family

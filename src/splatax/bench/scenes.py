@@ -1,4 +1,4 @@
-"""Scenes to time, each with a camera that has all of it in view."""
+"""Scenes to time, each with a camera that sees all of it."""
 
 from dataclasses import dataclass, replace
 
@@ -8,14 +8,14 @@ import numpy as np
 from splatax.camera import Camera
 from splatax.gaussians import Gaussians
 from splatax.math import harmonics
-from splatax.paths.shapes import FOCAL, overview
+from splatax.trajectories.shapes import FOCAL, overview
 
-LAYERS = 14.0  # Gaussians over a point of a surface; trained scenes have about as many
+LAYERS = 14.0  # Gaussians that cover each point of a surface, about as in trained scenes
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Gaussians, and a view of them."""
+    """Gaussians with a camera."""
 
     name: str
     gaussians: Gaussians
@@ -24,19 +24,19 @@ class Scene:
 
 
 def procedural(count: int, size: tuple[int, int], seed: int = 0) -> Scene:
-    """A wavy sheet of flat Gaussians that fills the image, with the statistics of a trained scene.
+    """Returns a wavy sheet of flat Gaussians that fills the image, with the statistics of a trained scene.
 
-    A scene of more has smaller ones, so the layers over a pixel stay as many. Degree 3, so 59
-    numbers a Gaussian.
+    The size of the Gaussians decreases with their number, so the number of layers over a pixel stays
+    the same. The SH degree is 3, which is 59 numbers per Gaussian.
 
     Args:
-        count: of Gaussians.
-        size: of the image: width and height, pixels.
-        seed: of all randomness.
+        count: number of Gaussians.
+        size: width and height of the image, pixels.
+        seed: random seed.
     """
     rng = np.random.default_rng(seed)
     focal = FOCAL * max(size)
-    half = np.array(size) / focal / 2  # of the image, on a plane at distance 1
+    half = np.array(size) / focal / 2  # half the width and height of the image on a plane at distance 1
     x, y = rng.uniform(-1.05 * half, 1.05 * half, (count, 2)).T
     z = 1 + 0.1 * np.sin(9 * x + 4 * y) * np.cos(7 * y) + rng.normal(size=count) * 0.02
     sigma = np.sqrt(LAYERS * 4 * half.prod() / count / (4 * np.pi))
@@ -58,14 +58,17 @@ def procedural(count: int, size: tuple[int, int], seed: int = 0) -> Scene:
 
 
 def framed(name: str, gaussians: Gaussians, nearness: float, size: tuple[int, int]) -> Scene:
-    """A scene from a distance, with SH up to degree 3 at least: zero where the file has none, so that
-    a step is as much work as in training.
+    """Returns a scene with a camera outside it.
+
+    The SH degree is at least 3, with zeros for missing harmonics, so that a training step takes as
+    much work as in training.
 
     Args:
-        name: of the scene.
-        gaussians: in it.
-        nearness: 1 is so far that nearly all of it is in the image; 3, a third as far.
-        size: of the image: width and height, pixels.
+        name: name of the scene.
+        gaussians: the Gaussians.
+        nearness: 1 places the camera so that nearly all of the scene is in the image; 3 places it at
+            a third of that distance.
+        size: width and height of the image, pixels.
     """
     camera = overview(np.asarray(gaussians.means), size, nearness)
     missing = max(harmonics.count(3) - gaussians.sh.shape[1], 0)

@@ -1,7 +1,7 @@
-"""Times that survive a busy machine: all operations in turn, round after round, in one process.
+"""Interleaved timing for busy machines: all operations in turn, round after round, in one process.
 
-What disturbs one then disturbs its neighbours too. Medians tell what to expect, minima what the
-code can do, ratios within one run what is faster.
+A disturbance then affects all operations alike. The median is the time to expect, the minimum the time
+that the code can reach, and ratios within one run show which operation is faster.
 """
 
 import time
@@ -16,7 +16,7 @@ from splatax.bench.operations import Operation
 
 @dataclass(frozen=True)
 class Timing:
-    """Of one operation, milliseconds."""
+    """Times of one operation, milliseconds."""
 
     median: float
     minimum: float
@@ -27,11 +27,11 @@ def interleaved(operations: Mapping[str, Operation], rounds: int) -> Iterator[di
     """Times all operations once in each round, after a first call of each.
 
     Args:
-        operations: by name.
-        rounds: how often, at least 1.
+        operations: functions to time, by name.
+        rounds: number of rounds, at least 1.
 
     Yields:
-        After each round, all timings so far; the last is the result.
+        All timings so far, after each round; the last one is the result.
     """
     first = {name: timed(operation) for name, operation in operations.items()}
     times: dict[str, list[float]] = {name: [] for name in operations}
@@ -44,7 +44,7 @@ def interleaved(operations: Mapping[str, Operation], rounds: int) -> Iterator[di
 
 
 def timed(operation: Operation) -> float:
-    """Milliseconds until the results of one call are there."""
+    """Returns the milliseconds until the results of one call are ready."""
     began = time.perf_counter()
     jax.block_until_ready(operation())
     return (time.perf_counter() - began) * 1e3

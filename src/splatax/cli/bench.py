@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 import splatax as sx
-from splatax.bench import limits
+from splatax.bench import roofline
 from splatax.bench.operations import Operation, operations
 from splatax.bench.plot import plot
 from splatax.bench.scenes import Scene, framed, procedural
@@ -56,7 +56,7 @@ class Bench:
         makers = [maker for name in self.scenes if (maker := scene_maker(name))]
         self.out.mkdir(parents=True, exist_ok=True)
         console = Console()
-        flops = limits.peak_flops()
+        flops = roofline.peak_flops()
         if flops:
             console.print(f"multiply-adds: {flops / 1e9:.0f} GFLOP/s at most")
         results = []
@@ -92,10 +92,10 @@ def measure(
         for done, timings in enumerate(interleaved(by_key, rounds), start=1):
             status.update(f"{scene.name}: round {done} of {rounds}")
     splats = sx.project(scene.gaussians, scene.camera)
-    counted = limits.slots(splats)
+    counted = roofline.slots(splats)
 
     def share(operation: str, milliseconds: float) -> float | None:
-        shortest = limits.shortest(operation, counted, flops) if counted and flops else None
+        shortest = roofline.shortest(operation, counted, flops) if counted and flops else None
         return shortest / milliseconds if shortest else None
 
     rows = []

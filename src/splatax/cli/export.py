@@ -24,7 +24,7 @@ from splatax.cli.page import is_page, write_page
 from splatax.errors import InputError
 from splatax.io import formats
 from splatax.projection import Antialiasing
-from splatax.similarity import Similarity
+from splatax.transforms import Similarity
 
 Triple = tuple[float, float, float]
 

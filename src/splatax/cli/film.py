@@ -7,13 +7,13 @@ import numpy as np
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 import splatax as sx
-from splatax import paths
+from splatax import trajectories
 from splatax.cli.options import Model
 from splatax.errors import InputError
 from splatax.io import video
 from splatax.metrics import to_8bit
-from splatax.paths.shapes import focus_of
 from splatax.report.pictures import depth_range, shaded
+from splatax.trajectories.shapes import focus_of
 
 SAMPLES = 8  # frames that tell the limits of depth, so that its colours mean the same in all
 SHAPES = ("orbit", "spiral", "interpolate")
@@ -51,18 +51,20 @@ class Film:
         means = np.asarray(model.gaussians.means)
         size, frames = self.size or default_size(dataset), max(round(self.fps * self.seconds), 1)
         if isinstance(self.path, Path):
-            return paths.read(self.path, frames, size)
+            return trajectories.read(self.path, frames, size)
         if dataset is None:
             if self.path != "orbit":
                 raise InputError(f"--path {self.path}: needs the cameras of a capture. Name its folder.")
-            return paths.orbit([paths.overview(means, size)], frames, size, np.median(means, axis=0))
+            return trajectories.orbit(
+                [trajectories.overview(means, size)], frames, size, np.median(means, axis=0)
+            )
         cameras = [view.camera for view in dataset.views]
         if self.path == "orbit":
-            return paths.orbit(cameras, frames, size, focus_of(cameras))
+            return trajectories.orbit(cameras, frames, size, focus_of(cameras))
         if self.path == "spiral":
             points = dataset.points.positions if len(dataset.points) else means
-            return paths.spiral(cameras, frames, size, points)
-        return paths.tour(cameras, frames, size)
+            return trajectories.spiral(cameras, frames, size, points)
+        return trajectories.tour(cameras, frames, size)
 
     def write(self, out: Path, model: Model, cameras: list[sx.Camera]) -> None:
         """Draws all frames into a file or folder, with a progress bar."""

@@ -10,7 +10,7 @@ import numpy as np
 import tyro
 
 import splatax as sx
-from splatax import paths
+from splatax import trajectories
 from splatax.cli.interruption import Interruption
 from splatax.cli.options import (
     BackendName,
@@ -57,7 +57,7 @@ class View:
         background = background_of(model.options, self.background)
         look = Look("colour", None, background, model.low_pass, resolve_backend(self.backend))
         means = np.asarray(model.gaussians.means, np.float64)
-        start = views[0].camera if views else paths.overview(means, WINDOW)
+        start = views[0].camera if views else trajectories.overview(means, WINDOW)
         with (
             Interruption() as interruption,
             Viewer(views, start, np.median(means, axis=0), look, host=self.host, port=self.port) as viewer,

@@ -1,4 +1,4 @@
-"""Photos of analytic surfaces: one lamp, its shadows, and a highlight that moves with the view."""
+"""Photos of analytic surfaces with one lamp, its shadows, and view-dependent highlights."""
 
 from typing import NamedTuple
 
@@ -13,12 +13,12 @@ from splatax.demo.still_life import STILL_LIFE
 LAMP = (-0.9, -2.2, 3.2)
 AMBIENT, DIFFUSE = 0.45, 0.65
 SHININESS = 50
-BEYOND = (0.05, 0.06, 0.08)  # where a ray meets nothing
-SAMPLES = 3  # a side of each pixel
+BEYOND = (0.05, 0.06, 0.08)  # colour of rays that meet no surface
+SAMPLES = 3  # per side of a pixel
 
 
 class Seen(NamedTuple):
-    """What a ray meets: a colour, and where; not finite where it meets nothing."""
+    """Colour and position of the first surface point on a ray; the position is not finite without one."""
 
     color: Float[Array, "*n 3"]
     point: Float[Array, "*n 3"]
@@ -26,7 +26,7 @@ class Seen(NamedTuple):
 
 @jax.jit
 def photograph(camera: Camera) -> UInt8[Array, "h w 3"]:
-    """The still life through a camera, averaged over the area of each pixel."""
+    """Returns the photo of the still life from a camera, averaged over the area of each pixel."""
     offsets = (jnp.arange(SAMPLES, dtype=jnp.float32) + 0.5) / SAMPLES
     x = (jnp.arange(camera.width, dtype=jnp.float32)[:, None] + offsets[None, :]).ravel()
     y = (jnp.arange(camera.height, dtype=jnp.float32)[:, None] + offsets[None, :]).ravel()
@@ -37,7 +37,7 @@ def photograph(camera: Camera) -> UInt8[Array, "h w 3"]:
 
 @jax.jit
 def look(camera: Camera, pixels: Float[Array, "n 2"]) -> Seen:
-    """What is seen through pixel coordinates."""
+    """Casts one ray through each of the pixel coordinates."""
 
     def one(pixel: Float[Array, "2"]) -> Seen:
         slope = (pixel - jnp.stack([camera.cx, camera.cy])) / jnp.stack([camera.fx, camera.fy])
@@ -48,7 +48,7 @@ def look(camera: Camera, pixels: Float[Array, "n 2"]) -> Seen:
 
 
 def trace(origin: Point, direction: Point) -> Seen:
-    """What one ray sees: the surface it meets first, in the light of the lamp (Phong 1975)."""
+    """Casts one ray and shades the first surface that it meets (Phong 1975)."""
     distances = surface_distances(origin, direction)
     nearest = jnp.argmin(distances)
     point = origin + distances[nearest] * direction
@@ -69,13 +69,13 @@ def trace(origin: Point, direction: Point) -> Seen:
 
 
 def surface_distances(origin: Point, direction: Point) -> Float[Array, " surfaces"]:
-    """How far each surface is along a ray; infinite where it is missed."""
+    """Returns the distance along a ray to each surface; infinite for surfaces that the ray misses."""
     return jnp.stack([surface.shape.distance(origin, direction) for surface in STILL_LIFE])
 
 
 @jax.jit
 def visible(camera: Camera, points: Float[Array, "n 3"]) -> Bool[Array, " n"]:
-    """Which points on surfaces the camera sees, with nothing in front."""
+    """Returns a mask of the surface points that no surface hides from the camera."""
 
     def unobstructed(point: Point) -> Bool[Array, ""]:
         offset = point - camera.position

@@ -1,4 +1,4 @@
-"""Surfaces that a ray meets in closed form, one ray and one point at a time: `vmap` for many."""
+"""Surfaces with closed-form ray intersections, for one ray; `jax.vmap` maps the functions over many."""
 
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
@@ -11,22 +11,26 @@ Point = Float[Array, "3"]
 Scalar = Float[Array, ""]
 Vector = tuple[float | int, float | int, float | int]
 
-NEAREST = 1e-3  # of a hit: a shadow ray must not meet the surface it leaves
+NEAREST = 1e-3  # least distance of an intersection: a shadow ray must not meet the surface it leaves
 
 
 @runtime_checkable
 class Shape(Protocol):
+    """A surface that rays can intersect."""
+
     def distance(self, origin: Point, direction: Point) -> Scalar:
-        """How far along a unit direction the surface is met first; infinite where it is not."""
+        """Returns the distance to the first intersection along a unit direction; infinite if none."""
         ...
 
     def normal(self, point: Point) -> Point:
-        """Unit normal at a point on the surface, outwards."""
+        """Returns the outward unit normal at a point on the surface."""
         ...
 
 
 @dataclass(frozen=True)
 class Sphere:
+    """A sphere."""
+
     centre: Vector
     radius: float
 
@@ -60,7 +64,7 @@ class Rectangle:
 
 @dataclass(frozen=True)
 class Cylinder:
-    """A tube from `base` to `top`, closed by discs."""
+    """A cylinder from `base` to `top`, closed by discs."""
 
     base: Vector
     top: Vector
@@ -75,7 +79,7 @@ class Cylinder:
         return jnp.array(np.subtract(self.top, self.base) / self.length)
 
     def split(self, vector: Point) -> tuple[Scalar, Point]:
-        """A vector's part along the axis, and what is across it."""
+        """Splits a vector into its component along the axis and the remainder across it."""
         along = vector @ self.axis
         return along, vector - along * self.axis
 
@@ -100,7 +104,7 @@ class Cylinder:
 
 
 def box(corner: Vector, a: Vector, b: Vector, c: Vector) -> list[Rectangle]:
-    """The six faces of the box spanned by three edges, normals outwards."""
+    """Returns the six faces of the box spanned by three edges, with outward normals."""
     faces = []
     for first, second, third in ((a, b, c), (b, c, a), (c, a, b)):
         opposite = tuple(np.add(corner, third).tolist())
@@ -109,14 +113,15 @@ def box(corner: Vector, a: Vector, b: Vector, c: Vector) -> list[Rectangle]:
 
 
 def round_distance(offset: Point, direction: Point, radius: float) -> Scalar:
-    """Where a ray meets what lies at `radius` around the origin: the least distance beyond `NEAREST`.
+    """Returns the least distance beyond `NEAREST` at which a ray is at `radius` from the origin.
 
-    Solved from the ray's closest approach: the textbook's discriminant cancels on thin shapes
-    seen from afar (Haines et al. 2019).
+    The solution starts from the ray's closest approach, because the textbook's discriminant cancels
+    for thin shapes seen from afar (Haines et al. 2019).
     """
     squared = direction @ direction
     approach = -(offset @ direction) / squared
     closest = offset + approach * direction
-    half = jnp.sqrt((radius**2 - closest @ closest) / squared)  # NaN, and so missed, if it passes by
+    # NaN, which counts as a miss, if the ray passes by.
+    half = jnp.sqrt((radius**2 - closest @ closest) / squared)
     near, far = approach - half, approach + half
     return jnp.where(near > NEAREST, near, jnp.where(far > NEAREST, far, jnp.inf))

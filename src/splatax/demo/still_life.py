@@ -1,4 +1,4 @@
-"""The scene of the demo: things on a table in a corner, with textures from formulas."""
+"""The scene of the demo: objects on a table in a corner, with procedural textures."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ Texture = Callable[[Point], Point]  # a point on a surface -> RGB albedo
 
 @dataclass(frozen=True)
 class Surface:
-    """A shape, what it is painted with, and how much it mirrors the lamp."""
+    """A shape with a texture, and the strength of its highlight."""
 
     shape: Shape
     texture: Texture
@@ -20,11 +20,12 @@ class Surface:
 
 
 def plain(*rgb: float) -> Texture:
+    """Returns the texture of one RGB colour."""
     return lambda point: jnp.array(rgb)
 
 
 def checks(first: Texture, second: Texture, size: float) -> Texture:
-    """Cubes of two textures in turn."""
+    """Returns a three-dimensional checkerboard of two textures."""
 
     def texture(point: Point) -> Point:
         odd = jnp.sum(jnp.floor(point / size + 1e-3)) % 2 == 1
@@ -34,7 +35,7 @@ def checks(first: Texture, second: Texture, size: float) -> Texture:
 
 
 def rings(first: Texture, second: Texture, axis: Vector, width: float) -> Texture:
-    """Smooth bands across an axis."""
+    """Returns smooth bands of two textures across an axis."""
 
     def texture(point: Point) -> Point:
         blend = jnp.clip(0.5 + jnp.sin(point @ jnp.array(axis, point.dtype) * (jnp.pi / width)), 0, 1)
@@ -44,7 +45,7 @@ def rings(first: Texture, second: Texture, axis: Vector, width: float) -> Textur
 
 
 def wood(point: Point) -> Point:
-    """Grain along x."""
+    """Returns the colour of wood with its grain along x."""
     x, y, _ = point
     grain = jnp.sin(26 * y + 2.5 * jnp.sin(2.1 * x) + 1.3 * jnp.sin(7.3 * y + 0.8 * x))
     fine = jnp.sin(140 * y + 5 * jnp.sin(3 * x))
@@ -52,7 +53,7 @@ def wood(point: Point) -> Point:
 
 
 def helix(point: Point) -> Point:
-    """A stripe that climbs around the vertical axis through (0.55, 0.35)."""
+    """Returns the colour of helical stripes around the vertical axis through (0.55, 0.35)."""
     turn = jnp.arctan2(point[1] - 0.35, point[0] - 0.55)
     stripe = jnp.sin(3 * turn + 18 * point[2]) > 0
     return jnp.where(stripe, jnp.array([0.92, 0.86, 0.7]), jnp.array([0.16, 0.42, 0.5]))

@@ -1,4 +1,4 @@
-"""Changing a finished scene: what to keep of it, where to put it, and several as one."""
+"""Edits of a finished scene: selecting Gaussians, merging scenes, levelling, and reducing harmonics."""
 
 from splatax.editing.placing import level as level
 from splatax.editing.placing import merge as merge

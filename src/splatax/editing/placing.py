@@ -1,4 +1,4 @@
-"""Several scenes as one, upright, and with fewer harmonics."""
+"""Merging of scenes, levelling, and reduction of spherical harmonics."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,14 +13,14 @@ from splatax.camera import Camera
 from splatax.errors import InputError
 from splatax.gaussians import Gaussians
 from splatax.math import harmonics
-from splatax.similarity import Similarity
+from splatax.transforms import Similarity
 
-UP = np.array([0.0, -1.0, 0.0])  # in the files that viewers expect: y points down, as in a camera
-LEAST_AGREEMENT = 0.2  # length of the mean of the cameras' unit up vectors
+UP = np.array([0.0, -1.0, 0.0])  # up in the files that viewers expect: y points down, as in a camera
+LEAST_AGREEMENT = 0.2  # least length of the mean of the cameras' unit up vectors
 
 
 def merge(scenes: Sequence[Gaussians]) -> Gaussians:
-    """All Gaussians of scenes in one frame; those with fewer harmonics get zeros."""
+    """Merges scenes that share one coordinate frame. Missing higher harmonics become zeros."""
     most = max(scene.sh.shape[1] for scene in scenes)
     padded = [
         replace(scene, sh=jnp.pad(scene.sh, ((0, 0), (0, most - scene.sh.shape[1]), (0, 0))))
@@ -30,30 +30,30 @@ def merge(scenes: Sequence[Gaussians]) -> Gaussians:
 
 
 def reduce_degree(gaussians: Gaussians, degree: int) -> Gaussians:
-    """Without the harmonics above a degree. One that is higher than the scene's changes nothing."""
+    """Returns the scene without harmonics above `degree`; a degree above the scene's changes nothing."""
     return replace(gaussians, sh=gaussians.sh[:, : harmonics.count(degree)])
 
 
 def up_of(cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
-    """The mean of where cameras have their top, of length one: people hold them upright.
+    """Returns the normalized mean of the cameras' up vectors, assuming that they were held upright.
 
     Raises:
-        InputError: if they were held in all ways.
+        InputError: if the cameras were held in all directions, so that the mean is short.
     """
     mean = -np.mean([np.asarray(camera.rotation, np.float64)[1] for camera in cameras], axis=0)
     length = float(np.linalg.norm(mean))
     if length < LEAST_AGREEMENT:
         raise InputError(
-            "--up auto: the cameras were held in all directions, so none is up. Turn the scene with --rotate."
+            "The cameras were held in all directions, so none of them is up. Give a rotation instead."
         )
     return mean / length
 
 
 def level(cameras: Sequence[Camera]) -> Similarity:
-    """The least rotation that puts a scene upright, as its cameras saw it: up becomes -y.
+    """Returns the smallest rotation that levels a scene: the mean up vector of its cameras becomes -y.
 
     Raises:
-        InputError: if the cameras do not agree on what is up.
+        InputError: if the cameras do not agree on a direction that is up.
     """
     up = up_of(cameras)
     axis = np.cross(up, UP)

@@ -1,4 +1,4 @@
-"""Which Gaussians to keep: those that are sound, inside a shape, seen, or that matter most."""
+"""Selection of Gaussians: by shape, by visibility, by importance, and removal of invalid ones."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,12 +16,12 @@ from splatax.projection import Dilation, LowPass
 from splatax.rendering import render
 from splatax.splats import MIN_ALPHA
 
-NEIGHBOURS = 16  # that tell how lonely a Gaussian is
-FLOATER_DEVIATIONS = 5.0  # of the logarithm of its distance to them, by the median deviation
-FLOATER_FACTOR = 4.0  # of the median distance, at least: corners of a dense scene are lonely by 2
-REACH = 3.0  # standard deviations that a Gaussian is seen to
-TO_SIGMA = 1.4826  # from a median absolute deviation to the standard deviation of a normal
-LEAST_WEIGHT = 0.02  # pixels, over all views, that a Gaussian must fill to count as seen
+NEIGHBOURS = 16  # nearest neighbours whose distance shows how isolated a Gaussian is
+FLOATER_DEVIATIONS = 5.0  # robust standard deviations of the log distance beyond which it is isolated
+FLOATER_FACTOR = 4.0  # of the median distance, at least: corners of a dense scene have up to 2
+REACH = 3.0  # standard deviations to which a Gaussian is visible
+TO_SIGMA = 1.4826  # from the median absolute deviation to the standard deviation of a normal distribution
+LEAST_WEIGHT = 0.02  # sum of blending weights over all pixels from which a Gaussian counts as seen
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Box:
     high: tuple[float, float, float]
 
     def contains(self, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-        """Which points are inside, or on the border."""
+        """Returns a mask of the points that are inside or on the border."""
         return np.all((points >= np.array(self.low)) & (points <= np.array(self.high)), axis=1)
 
 
@@ -44,12 +44,12 @@ class Sphere:
     radius: float
 
     def contains(self, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-        """Which points are inside, or on the border."""
+        """Returns a mask of the points that are inside or on the border."""
         return np.linalg.norm(points - np.array(self.centre), axis=1) <= self.radius
 
 
 def crop(gaussians: Gaussians, shape: Box | Sphere) -> Gaussians:
-    """Those whose centre is inside a shape."""
+    """Returns the Gaussians whose centre is inside a shape."""
     return _keep(gaussians, shape.contains(np.asarray(gaussians.means)))
 
 
@@ -60,18 +60,19 @@ def clean(
     deviations: float = FLOATER_DEVIATIONS,
     weights: Float[np.ndarray, " n"] | None = None,
 ) -> tuple[Gaussians, dict[str, int]]:
-    """Without what is broken, too faint to be drawn, floats alone, or was seen by no camera.
+    """Removes Gaussians that are not finite, too faint to be drawn, isolated, or never seen.
 
     Args:
         gaussians: the scene.
-        min_opacity: fainter ones go.
-        deviations: a Gaussian floats if the logarithm of its distance to its 16 nearest exceeds
-            the median by so many (robust) standard deviations, the distance is 4 times usual, and
-            it does not reach them: large ones fill a sparse background.
-        weights: of `visible_weights`; without, all count as seen.
+        min_opacity: Gaussians with a lower opacity are removed.
+        deviations: a Gaussian is isolated ("floating") if the logarithm of its distance to its 16
+            nearest neighbours exceeds the median by this many robust standard deviations, the
+            distance is at least 4 times the median, and the Gaussian does not extend to those
+            neighbours: large Gaussians in a sparse background are not isolated.
+        weights: the result of `visible_weights`; if None, all Gaussians count as seen.
 
     Returns:
-        What is left, and how many went for which reason, the first that applied.
+        The remaining Gaussians, and the number removed for each reason (the first that applied).
     """
     leaves = [np.asarray(leaf).reshape(len(gaussians), -1) for leaf in jax.tree.leaves(gaussians)]
     # Flat Gaussians have log scales of -inf, which is sound.
@@ -95,13 +96,13 @@ def clean(
 def simplify(
     gaussians: Gaussians, count: int, *, weights: Float[np.ndarray, " n"] | None = None
 ) -> Gaussians:
-    """The `count` Gaussians that matter most, in their order.
+    """Returns the `count` most important Gaussians, in their original order.
 
     Args:
         gaussians: the scene.
-        count: how many to keep; all, if there are fewer.
-        weights: how much each matters, such as `visible_weights`. Without: opacity times the area
-            of its largest cross section.
+        count: number of Gaussians to keep; all are kept if the scene has fewer.
+        weights: importance of each Gaussian, such as `visible_weights`. If None, opacity times the
+            area of the largest cross section.
     """
     if weights is None:
         two_largest = np.sort(np.asarray(gaussians.log_scales, np.float64), axis=1)[:, 1:].sum(axis=1)
@@ -119,9 +120,16 @@ def visible_weights(
     low_pass: LowPass = Dilation(),
     backend: str = backends.AUTO,
 ) -> Float[np.ndarray, " n"]:
-    """How many pixels each Gaussian fills in views: the sum of its blending weights.
+    """Returns the number of pixels that each Gaussian fills in all views: the sum of its blending weights.
 
-    A channel's image is the sum of weight times channel, so the gradient of its sum is the weight.
+    The image of a channel is the sum of weight times channel, so the gradient of the image's sum with
+    respect to the channel is the weight.
+
+    Args:
+        gaussians: the scene.
+        cameras: cameras of the views.
+        low_pass: filter that the scene was trained with.
+        backend: "auto", or the name of a rasterizer.
     """
 
     def total(channel, camera):
@@ -144,8 +152,8 @@ def _floaters(
     distances = np.log(np.maximum(mean_squared_distances(means, NEIGHBOURS), 1e-30)) / 2
     median = np.median(distances)
     spread = TO_SIGMA * np.median(np.abs(distances - median))
-    lonely = distances > median + max(deviations * spread, np.log(FLOATER_FACTOR))
-    return lonely & (REACH * sizes < np.exp(distances))
+    isolated = distances > median + max(deviations * spread, np.log(FLOATER_FACTOR))
+    return isolated & (REACH * sizes < np.exp(distances))
 
 
 def _keep(gaussians: Gaussians, mask: Bool[np.ndarray, " n"]) -> Gaussians:

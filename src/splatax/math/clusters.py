@@ -1,10 +1,10 @@
-"""Few numbers or vectors to stand for many: codebooks, by k-means (Lloyd 1982)."""
+"""Vector quantization: codebooks of numbers and of vectors, by k-means (Lloyd 1982)."""
 
 import numpy as np
 from jaxtyping import Float, Int
 
-GROUP = 256  # clusters of the first level, and about the size of groups of the second
-SAMPLE = 20_000  # vectors that the first level is made from
+GROUP = 256  # clusters of the first level, and about the number of entries in each group of the second
+SAMPLE = 20_000  # vectors that the first level is computed from
 
 
 def codebook(
@@ -14,16 +14,16 @@ def codebook(
     weights: Float[np.ndarray, " n"] | None = None,
     rounds: int = 30,
 ) -> tuple[Float[np.ndarray, " size"], Int[np.ndarray, " n"]]:
-    """At most `size` numbers, increasing, that stand for `values`; and which of them each value takes.
+    """Returns a codebook of `size` increasing numbers, and the index of the entry for each value.
 
-    Begins with the spacing that is best for many levels, density^(1/3) (Panter and Dite 1951).
-    Sorted values make a round of Lloyd's algorithm a few binary searches and sums.
+    The initial spacing is the one that is optimal for many levels, density^(1/3) (Panter and Dite
+    1951). Since the values are sorted, a round of Lloyd's algorithm is a few binary searches and sums.
 
     Args:
-        values: to be stood for.
-        size: of the codebook.
-        weights: of each value's squared error; above zero. Without: all the same.
-        rounds: of Lloyd's algorithm.
+        values: numbers to quantize.
+        size: number of entries; the last one is repeated if there are fewer distinct values.
+        weights: weight of each value's squared error, above zero; all the same if None.
+        rounds: number of rounds of Lloyd's algorithm.
     """
     order = np.argsort(values, kind="stable")
     ordered = values[order].astype(np.float64)
@@ -33,8 +33,8 @@ def codebook(
         return centres.astype(np.float32), np.searchsorted(distinct, values.astype(np.float64))
     weight = np.ones(len(values)) if weights is None else weights[order].astype(np.float64)
     density, edges = np.histogram(ordered, bins=8 * size, weights=weight)
-    share = np.concatenate([[0], np.cumsum(np.cbrt(density))])
-    centres = np.interp(np.arange(size) / (size - 1) * share[-1], share, edges)
+    cumulative = np.concatenate([[0], np.cumsum(np.cbrt(density))])
+    centres = np.interp(np.arange(size) / (size - 1) * cumulative[-1], cumulative, edges)
     total, sums = (np.concatenate([[0], np.cumsum(w)]) for w in (weight, weight * ordered))
     for _ in range(rounds):
         ends = np.searchsorted(ordered, (centres[1:] + centres[:-1]) / 2)
@@ -48,10 +48,16 @@ def codebook(
 def palette(
     vectors: Float[np.ndarray, "n d"], size: int, *, rounds: int = 8, seed: int = 0
 ) -> tuple[Float[np.ndarray, "size d"], Int[np.ndarray, " n"]]:
-    """At most `size` vectors that stand for `vectors`; and which of them each takes.
+    """Returns a palette of `size` vectors, and the index of the entry for each vector.
 
-    In two levels, which cost n (256 + size / 256) distances a round in place of n size: vectors are
-    first put in 256 groups, then each group gets entries by its share of the squared error.
+    Two levels of clustering take n (256 + size / 256) distances a round instead of n size: vectors are
+    first divided into 256 groups, then each group gets entries in proportion to its squared error.
+
+    Args:
+        vectors: vectors to quantize.
+        size: number of entries; zeros fill the palette if there are fewer vectors.
+        rounds: number of rounds of Lloyd's algorithm on each level.
+        seed: random seed.
     """
     rng = np.random.default_rng(seed)
     n = len(vectors)
@@ -63,7 +69,7 @@ def palette(
     group_of = nearest(vectors, coarse)
     error = np.sum(np.square(vectors - coarse[group_of]), axis=1)
     counts = np.bincount(group_of, minlength=groups)
-    entries = _shares(np.bincount(group_of, error, groups), counts, size)
+    entries = _entries_of(np.bincount(group_of, error, groups), counts, size)
 
     centres = np.zeros((size, vectors.shape[1]), np.float32)
     labels = np.zeros(n, int)
@@ -80,7 +86,7 @@ def palette(
 
 
 def nearest(vectors: Float[np.ndarray, "n d"], centres: Float[np.ndarray, "k d"]) -> Int[np.ndarray, " n"]:
-    """The index of the centre that is nearest to each vector."""
+    """Returns the index of the centre nearest to each vector."""
     half = np.sum(np.square(centres), axis=1) / 2
     chunk = max(1, (1 << 24) // max(1, len(centres)))  # 64 MB of distances at a time
     parts = [
@@ -91,7 +97,7 @@ def nearest(vectors: Float[np.ndarray, "n d"], centres: Float[np.ndarray, "k d"]
 
 
 def _lloyd(vectors: np.ndarray, size: int, rounds: int, rng: np.random.Generator) -> np.ndarray:
-    """At most `size` centres of vectors; those that lose all their vectors move to the worst served."""
+    """Returns at most `size` centres. A centre without vectors moves to one with a large error."""
     if len(vectors) <= size:
         return vectors
     centres = vectors[rng.choice(len(vectors), size, replace=False)]
@@ -109,14 +115,14 @@ def _lloyd(vectors: np.ndarray, size: int, rounds: int, rng: np.random.Generator
     return centres
 
 
-def _shares(errors: np.ndarray, counts: np.ndarray, size: int) -> np.ndarray:
-    """Entries for each group: at least one, at most one for each vector, otherwise as its error."""
+def _entries_of(errors: np.ndarray, counts: np.ndarray, size: int) -> np.ndarray:
+    """Returns the number of entries of each group: in proportion to its error, from 1 to its count."""
     least = (counts > 0).astype(float)
-    shares = least.copy()
-    for _ in range(20):  # what a full group cannot take goes to the others
-        open_ = (shares < counts) & (errors > 0)
-        left = size - shares.sum()
+    entries = least.copy()
+    for _ in range(20):  # entries that a full group cannot take go to the others
+        open_ = (entries < counts) & (errors > 0)
+        left = size - entries.sum()
         if left < 1 or not open_.any():
             break
-        shares = np.minimum(shares + np.where(open_, errors, 0) / errors[open_].sum() * left, counts)
-    return np.maximum(np.floor(shares), least).astype(int)
+        entries = np.minimum(entries + np.where(open_, errors, 0) / errors[open_].sum() * left, counts)
+    return np.maximum(np.floor(entries), least).astype(int)

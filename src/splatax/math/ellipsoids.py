@@ -1,7 +1,7 @@
-"""Gaussians as ellipsoids in space and ellipses on the image, one at a time: `vmap` for many.
+"""Covariances of one Gaussian in space and on the image; `jax.vmap` maps the functions over many.
 
-A covariance is kept as a factor F, with covariance F F^T, wherever that is possible: it cannot
-lose its positive definiteness to rounding, and a determinant becomes a sum of squares.
+Where possible, a covariance is represented by a factor F, with covariance F F^T. F F^T stays positive
+semi-definite whatever the rounding of F, and its determinant is a sum of squares.
 """
 
 import jax.numpy as jnp
@@ -11,28 +11,28 @@ from splatax.math import quaternions
 
 
 def covariance_factor(quat: Float[Array, "4"], scale: Float[Array, "3"]) -> Float[Array, "3 3"]:
-    """R S, so that the covariance is Sigma = R S S^T R^T (Kerbl et al. 2023, Eq. 6)."""
+    """Returns the factor R S of the covariance Sigma = R S S^T R^T (Kerbl et al. 2023, Eq. 6)."""
     return quaternions.to_rotation(quat) * scale[None, :]
 
 
 def determinant_of_rows(factor: Float[Array, "2 3"], variance: Float[Array, ""]) -> Float[Array, ""]:
-    """det(F F^T + v I) for two rows f, g: |f x g|^2 + v (|f|^2 + |g|^2) + v^2.
+    """Returns det(F F^T + v I) = |f x g|^2 + v (|f|^2 + |g|^2) + v^2, where f and g are the rows of F.
 
-    Written out as a sum of squares, it does not cancel for long thin ellipses as ac - b^2 does.
+    This sum of squares does not cancel for long thin ellipses, as a c - b^2 does.
     """
     normal = jnp.cross(factor[0], factor[1])
     return normal @ normal + variance * jnp.sum(factor * factor) + variance * variance
 
 
 def sqrt_conic(covariance: Float[Array, "3"], determinant: Float[Array, ""]) -> Float[Array, "3"]:
-    """The upper triangular (u, v, w) with [[u, v], [0, w]]^T [[u, v], [0, w]] = covariance^-1.
+    """Returns the upper triangular (u, v, w) with [[u, v], [0, w]]^T [[u, v], [0, w]] = covariance^-1.
 
-    The squared Mahalanobis distance of an offset is then (u dx + v dy)^2 + (w dy)^2, a sum of
-    squares: the usual a dx^2 + 2 b dx dy + c dy^2 loses all digits far along a thin ellipse.
+    The squared Mahalanobis distance of an offset is then the sum of squares (u dx + v dy)^2 + (w dy)^2.
+    The usual a dx^2 + 2 b dx dy + c dy^2 loses all digits far along a thin ellipse.
 
     Args:
         covariance: (a, b, c) of [[a, b], [b, c]].
-        determinant: a c - b^2, better known by the caller.
+        determinant: a c - b^2, which the caller knows more precisely (see `determinant_of_rows`).
     """
     _, b, c = covariance
     u = jnp.sqrt(c / determinant)

@@ -1,8 +1,8 @@
 """Real spherical harmonics, in the order and signs of 3D Gaussian Splatting files.
 
-Condon-Shortley signs, band by band with m = -l .. l, as in the authors' code of Kerbl et al. 2023
-and in the KHR_gaussian_splatting specification. Bands 0 to 4 (Sloan 2013, "Efficient Spherical
-Harmonic Evaluation").
+The signs include the Condon-Shortley phase, and the order is band by band with m = -l .. l, as in the
+authors' code of Kerbl et al. 2023 and in the KHR_gaussian_splatting specification. Bands 0 to 4 are
+supported (Sloan 2013, "Efficient Spherical Harmonic Evaluation").
 """
 
 import math
@@ -16,20 +16,20 @@ from jaxtyping import Array, Float
 AnyArray = TypeVar("AnyArray", Array, np.ndarray)
 
 MAX_DEGREE = 4
-SAMPLES = 64  # directions that a rotation is fitted at
+SAMPLES = 64  # directions at which a rotation is fitted
 Y00 = 0.28209479177387814  # 1 / (2 sqrt(pi)): the constant harmonic
 
 
 def count(degree: int) -> int:
-    """How many coefficients a channel has: (degree + 1)^2."""
+    """Returns the number of coefficients of a channel, (degree + 1)^2."""
     return (degree + 1) ** 2
 
 
 def degree_of(coefficients: int) -> int:
-    """The degree that has this many coefficients.
+    """Returns the degree that has this many coefficients per channel.
 
     Raises:
-        ValueError: if no degree from 0 to 4 has.
+        ValueError: if no degree from 0 to 4 has that many.
     """
     degree = math.isqrt(coefficients) - 1
     if coefficients < 1 or count(degree) != coefficients or degree > MAX_DEGREE:
@@ -40,7 +40,7 @@ def degree_of(coefficients: int) -> int:
 
 
 def basis(direction: Float[Array, "3"], degree: int) -> Float[Array, " k"]:
-    """The (degree + 1)^2 basis functions at a unit direction (towards the Gaussian)."""
+    """Returns the (degree + 1)^2 basis functions at a unit direction, from the camera to the Gaussian."""
     x, y, z = direction
     xx, yy, zz = x * x, y * y, z * z
     bands = [
@@ -78,26 +78,28 @@ def basis(direction: Float[Array, "3"], degree: int) -> Float[Array, " k"]:
 
 
 def degree_of_file(columns: int) -> int | None:
-    """The degree of a file that has so many `f_rest` columns, all coefficients but the first; None
-    if no degree has."""
+    """Returns the degree of a file with this number of `f_rest` columns; None if no degree has that many.
+
+    The columns hold all coefficients of three channels except the first of each.
+    """
     return {3 * (count(degree) - 1): degree for degree in range(MAX_DEGREE + 1)}.get(columns)
 
 
 def evaluate(sh: Float[Array, "k c"], direction: Float[Array, "3"]) -> Float[Array, " c"]:
-    """The sum of coefficients times basis: what a Gaussian shows towards `direction`."""
+    """Returns the sum of coefficients times basis functions at a unit direction, for each channel."""
     return basis(direction, degree_of(sh.shape[0])) @ sh
 
 
 def rotation(matrix: Float[np.ndarray, "3 3"], degree: int) -> Float[np.ndarray, "k k"]:
-    """The matrix that turns coefficients with the world: of sh' = M sh, with f'(R d) = f(d).
+    """Returns the matrix M that rotates coefficients: sh' = M sh gives a function with f'(R d) = f(d).
 
-    Bands do not mix (Wigner's D matrices stand along the diagonal). Each block follows from the
-    basis itself, at more directions than it has functions: Y(R^-1 d) = Y(d) M, solved in double
-    precision, and exact but for rounding, since a band is closed under rotation.
+    M is block-diagonal, with one Wigner D matrix for each band, since a band is closed under rotation.
+    Each block solves Y(R^-1 d) = Y(d) M in double precision, at more directions d than it has basis
+    functions; it is exact except for rounding.
 
     Args:
-        matrix: R, a rotation.
-        degree: of the coefficients.
+        matrix: R, a rotation matrix.
+        degree: degree of the coefficients.
     """
     z = (np.arange(SAMPLES) + 0.5) * 2 / SAMPLES - 1
     angle = np.pi * (1 + 5**0.5) * np.arange(SAMPLES)  # a Fibonacci spiral
@@ -114,10 +116,10 @@ def rotation(matrix: Float[np.ndarray, "3 3"], degree: int) -> Float[np.ndarray,
 
 
 def from_rgb(rgb: AnyArray) -> AnyArray:
-    """The DC coefficient that shows `rgb` from everywhere: colour is Y00 * dc + 0.5."""
+    """Returns the DC coefficient whose colour, Y00 * dc + 0.5, is `rgb` in every direction."""
     return (rgb - 0.5) / Y00
 
 
 def to_rgb(dc: AnyArray) -> AnyArray:
-    """The colour that a DC coefficient shows from everywhere."""
+    """Returns the colour of a DC coefficient, which is the same in every direction."""
     return dc * Y00 + 0.5

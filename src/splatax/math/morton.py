@@ -1,13 +1,13 @@
-"""An order of points in which neighbours in space are mostly neighbours in the list."""
+"""Morton order: neighbours in space are mostly neighbours in the list."""
 
 import numpy as np
 from jaxtyping import Float, Int
 
-BITS = 21  # of each axis: three fit in 63
+BITS = 21  # bits of each axis: three times 21 fit in 64
 
 
 def order(points: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, " n"]:
-    """Indices that sort points along a Z-curve through their bounding box (Morton 1966)."""
+    """Returns the indices that sort points along a Z-order curve through their bounding box (Morton 1966)."""
     if len(points) == 0:
         return np.zeros(0, int)
     low, high = points.min(axis=0).astype(np.float64), points.max(axis=0).astype(np.float64)
@@ -19,7 +19,7 @@ def order(points: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, " n"]:
 
 
 def _spread(values: np.ndarray) -> np.ndarray:
-    """Moves bit i to bit 3i, by halves."""
+    """Moves bit i to bit 3 i, in blocks of bits that halve in size."""
     for shift, mask in (
         (32, 0x1F00000000FFFF),
         (16, 0x1F0000FF0000FF),

@@ -1,4 +1,4 @@
-"""Distances between neighbouring points, for the first size of Gaussians."""
+"""Distances between neighbouring points, for the initial size of Gaussians."""
 
 import numpy as np
 from jaxtyping import Float
@@ -6,9 +6,9 @@ from scipy.spatial import cKDTree
 
 
 def mean_squared_distances(points: Float[np.ndarray, "n 3"], neighbours: int = 3) -> Float[np.ndarray, " n"]:
-    """Mean squared distance of each point to its nearest others, at most `neighbours` of them.
+    """Returns the mean squared distance of each point to its `neighbours` nearest other points.
 
-    A point that has no other gets zero.
+    If there are fewer other points, the mean is over all of them; a single point gets zero.
     """
     others = min(neighbours, len(points) - 1)
     if others <= 0:

@@ -1,25 +1,25 @@
-"""Rotations as quaternions (w, x, y, z), one at a time: `vmap` for many."""
+"""Rotations as quaternions (w, x, y, z); `jax.vmap` maps the functions over many."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 
 def normalize(quat: Float[Array, "4"]) -> Float[Array, "4"]:
-    """The unit quaternion of the same rotation; zero stays zero, with a zero gradient."""
+    """Returns the unit quaternion of the same rotation; zero stays zero, with a zero gradient."""
     squared = quat @ quat
     positive = squared > 0
     return jnp.where(positive, quat / jnp.sqrt(jnp.where(positive, squared, 1)), 0)
 
 
 def multiply(a: Float[Array, "4"], b: Float[Array, "4"]) -> Float[Array, "4"]:
-    """The rotation `b`, and then `a` (Hamilton's product)."""
+    """Returns the Hamilton product a b, which is the rotation `b` followed by `a`."""
     w, x, y, z = a
     left = jnp.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
     return left @ b
 
 
 def to_rotation(quat: Float[Array, "4"]) -> Float[Array, "3 3"]:
-    """The rotation matrix of any non-zero quaternion, which need not be unit. Zero gives identity."""
+    """Returns the rotation matrix of a quaternion of any length. The zero quaternion gives the identity."""
     w, x, y, z = normalize(quat)
     return jnp.array(
         [

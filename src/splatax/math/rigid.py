@@ -4,17 +4,17 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-SMALL = 1e-4  # squared radians below which the series is as exact as float32
+SMALL = 1e-4  # squared radians below which the series is exact to float32
 
 
 @jax.default_matmul_precision("highest")
 def exponential(twist: Float[Array, "6"]) -> Float[Array, "4 4"]:
-    """exp of a twist (w, v): the rotation by |w| radians about w, and the translation V v, where
+    """Returns the exponential of a twist (w, v): a rotation by |w| radians about w, and a translation V v.
 
         R = I + a K + b K^2,   V = I + b K + c K^2,   K = [w]x,
         a = sin t / t,   b = (1 - cos t) / t^2,   c = (t - sin t) / t^3,   t = |w|.
 
-    To first order a point p goes to p + w x p + v. Exact and differentiable at zero.
+    To first order, a point p moves to p + w x p + v. The function is exact and differentiable at zero.
     """
     (x, y, z), v = twist[:3], twist[3:]
     a, b, c = _coefficients(x * x + y * y + z * z)
@@ -28,7 +28,7 @@ def exponential(twist: Float[Array, "6"]) -> Float[Array, "4 4"]:
 
 
 def _coefficients(squared: Float[Array, ""]):
-    """a, b and c from t^2; by their series where t is small."""
+    """Returns a, b and c as functions of t^2, by their series if t is small."""
     small = squared < SMALL
     safe = jnp.where(small, 1, squared)
     t = jnp.sqrt(safe)

@@ -1,1 +1,1 @@
-"""A scene in a browser, drawn by the renderer that trains it."""
+"""The live viewer: a scene in the browser, rendered by the training renderer."""

@@ -1,33 +1,33 @@
-"""How large a frame may be: small enough to be fluid while the camera moves, full size when it rests."""
+"""Choice of the frame size: small enough to be fluid while the camera moves, full size when it is still."""
 
 from dataclasses import dataclass, field
 
 HEIGHTS = (90, 128, 180, 256, 360, 512, 720)  # of frames while moving: each size is a compiled program
-WIDTH_STEP = 16  # pixels, so that windows of nearly one shape share programs
-FORGET_SECONDS = 5.0  # after which a size is tried again that was too slow
-WORTHWHILE = 2.0  # a frame may take so many times what the smallest has: much of its cost is not in pixels
-BLEND = 0.5  # of a new measurement
+WIDTH_STEP = 16  # pixels, so that windows of nearly the same shape share programs
+FORGET_SECONDS = 5.0  # after which a size that was too slow is tried again
+WORTHWHILE = 2.0  # times the smallest frame, which is always allowed: much of the cost is not in pixels
+BLEND = 0.5  # weight of a new measurement
 
 
 @dataclass
 class Pacing:
-    """Learns what a frame costs, and chooses sizes. Times are given, never read.
+    """A model of the cost of a frame, which chooses frame sizes. The caller passes the current time.
 
     Attributes:
-        budget: seconds that a frame may take while the camera moves.
+        budget: longest time for a frame while the camera moves, seconds.
     """
 
     budget: float = 1 / 15
-    _costs: dict[int, tuple[float, float]] = field(default_factory=dict)  # pixels: seconds, and when
+    _costs: dict[int, tuple[float, float]] = field(default_factory=dict)  # pixels: seconds, measured at
 
     def size(self, window: tuple[int, int], most: int, *, moving: bool, now: float) -> tuple[int, int]:
-        """Width and height of the next frame.
+        """Returns the width and height of the next frame, pixels.
 
         Args:
-            window: what it has to fill, pixels.
-            most: the largest height.
+            window: width and height of the window to fill, pixels.
+            most: largest height of a frame, pixels.
             moving: whether the camera moves.
-            now: seconds.
+            now: current time, seconds.
         """
         full = max(min(window[1], most), HEIGHTS[0])
         if not moving:
@@ -39,14 +39,17 @@ class Pacing:
         return fluid[-1] if fluid else sizes[0]
 
     def observe(self, size: tuple[int, int], seconds: float, now: float) -> None:
-        """Takes note of what a frame has cost."""
+        """Records the seconds that a frame of this size took."""
         pixels = size[0] * size[1]
         earlier = self._fresh(now).get(pixels, seconds)
         self._costs[pixels] = (BLEND * seconds + (1 - BLEND) * earlier, now)
 
     def expected(self, size: tuple[int, int], now: float) -> float:
-        """Seconds for a frame: linear between the sizes that have been measured of late. Outside of them half
-        is taken to be in pixels. Infinite where there is none."""
+        """Estimates the seconds for a frame, from the sizes that were measured recently.
+
+        The estimate is linear in pixels between two measured sizes. Beyond them, half of the nearest
+        measurement is assumed to be proportional to pixels. Without measurements it is infinite.
+        """
         pixels, known = size[0] * size[1], self._fresh(now)
         below = max((other for other in known if other <= pixels), default=None)
         above = min((other for other in known if other >= pixels), default=None)
@@ -56,8 +59,8 @@ class Pacing:
             nearest = above if below is None else below
             assert nearest is not None
             return known[nearest] * (1 + pixels / nearest) / 2
-        share = (pixels - below) / (above - below)
-        return known[below] + share * (known[above] - known[below])
+        fraction = (pixels - below) / (above - below)
+        return known[below] + fraction * (known[above] - known[below])
 
     def _fresh(self, now: float) -> dict[int, float]:
         return {

@@ -1,4 +1,4 @@
-"""The controls beside the picture: what is drawn, where to look from, and how training goes."""
+"""The controls beside the picture: display options, viewpoints, and the progress of training."""
 
 import time
 from collections.abc import Callable
@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from splatax.dataset import View
-from splatax.paths import Key, keyframes
+from splatax.trajectories import Keyframe, keyframes
 from splatax.viewer.pictures import MODES, Look
 from splatax.viewer.poses import Pose, pose_of
 
@@ -21,20 +21,20 @@ ANYWHERE = "anywhere"
 
 
 class Panels:
-    """All controls are shared by those who look. viser calls back in threads of its own.
+    """The controls, which all connected browsers share. viser calls their handlers in its own threads.
 
     Attributes:
-        look: how to draw, as chosen.
-        largest: height of frames at rest, pixels.
-        paused: whether training has to wait.
+        look: the chosen display options.
+        largest: maximum height of a frame when the camera is still, pixels.
+        paused: whether training is paused.
     """
 
     def __init__(self, server: Any, views: tuple[View, ...], look: Look, changed: Callable[[], None]):
         self.look, self.largest, self.paused = look, 1080, False
         self._gui, self._changed = server.gui, changed
         self._views = {view.name: view.camera for view in views}
-        self._path: list[Key] = []
-        self._frames: list[tuple[float, float]] = []  # when, and seconds
+        self._path: list[Keyframe] = []
+        self._frames: list[tuple[float, float]] = []  # time of drawing, and its seconds
         self._told, self._drawn_curve = 0.0, 0.0
         self._curve: Any = None
         self._gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
@@ -48,7 +48,7 @@ class Panels:
         self._add_path()
 
     def frame(self, size: tuple[int, int], seconds: float) -> None:
-        """Tells of a frame."""
+        """Shows the size of a frame, and the mean time of the last frames."""
         now = time.monotonic()
         self._frames = [*self._frames[-19:], (now, seconds)]
         if now - self._told > STATUS_SECONDS:
@@ -57,13 +57,20 @@ class Panels:
             self._status.content = f"{size[0]} x {size[1]}, {1000 * cost:.0f} ms a frame"
 
     def scene(self, count: int) -> None:
-        """Tells of a scene that does not change."""
+        """Shows the number of Gaussians of a finished scene."""
         self._training_status.visible = True
         self._training_status.content = f"{count:,} Gaussians"
 
     def training(self, step: int, steps: int, count: int, loss: float, psnr: float | None) -> None:
-        """Tells of training: the step reached, of all, the count of Gaussians, the loss, and the PSNR of the
-        test views when last evaluated, dB."""
+        """Shows the progress of training.
+
+        Args:
+            step: current step.
+            steps: number of all steps.
+            count: number of Gaussians.
+            loss: loss of the current step.
+            psnr: PSNR of the test views at the last evaluation, dB; None before the first one.
+        """
         tested = f", test {psnr:.2f} dB" if psnr is not None else ""
         self._training_status.visible = self._pause.visible = True
         self._training_status.content = (
@@ -72,11 +79,11 @@ class Panels:
 
     @property
     def curve_due(self) -> bool:
-        """Whether the curve is old."""
+        """True if it is time to redraw the loss curve."""
         return time.monotonic() - self._drawn_curve > CURVE_SECONDS
 
     def curve(self, losses: Float[np.ndarray, " n"]) -> None:
-        """Draws the losses of all steps until now, averaged to a few hundred points."""
+        """Draws the losses of all steps so far, averaged to at most 300 points."""
         self._drawn_curve = time.monotonic()
         parts = np.array_split(losses, min(CURVE_POINTS, len(losses)))
         ends = np.cumsum([len(part) for part in parts]).astype(np.float64)
@@ -90,10 +97,10 @@ class Panels:
     def _add_drawing(self) -> None:
         mode = self._gui.add_dropdown("Show", MODES, initial_value=self.look.mode)
         largest = self._gui.add_dropdown(
-            "Lines at rest", tuple(map(str, HEIGHTS)), initial_value=str(self.largest)
+            "Resolution when still", tuple(map(str, HEIGHTS)), initial_value=str(self.largest)
         )
         with self._gui.add_folder("Crop box", expand_by_default=False):
-            cropped = self._gui.add_checkbox("Only within", initial_value=False)
+            cropped = self._gui.add_checkbox("Show only the inside", initial_value=False)
             low = self._gui.add_vector3("Lowest", (-1.0, -1.0, -1.0), step=0.05)
             high = self._gui.add_vector3("Highest", (1.0, 1.0, 1.0), step=0.05)
             text = self._gui.add_markdown("")
@@ -128,7 +135,7 @@ class Panels:
                 self.jump(event.client, chosen.value)
 
     def jump(self, client: Any, name: str) -> None:
-        """Puts someone where a photo was taken."""
+        """Moves the camera of a browser to the camera of a photo."""
         window = client.camera.image_width, client.camera.image_height
         pose = pose_of(self._views[name], window)
         with client.atomic():
@@ -160,5 +167,5 @@ class Panels:
 
     def _toggle_pause(self, _: Any) -> None:
         self.paused = not self.paused
-        self._pause.label = "Go on" if self.paused else "Pause training"
+        self._pause.label = "Resume training" if self.paused else "Pause training"
         self._changed()

@@ -1,4 +1,4 @@
-"""What a window shows: colour, depth or alpha of the scene, or of the part in a box."""
+"""Pictures of the live viewer: colour, depth or alpha of the scene, or of its part inside a box."""
 
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -23,14 +23,14 @@ Corner = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Look:
-    """How to draw.
+    """Display options.
 
     Attributes:
-        mode: what of the scene.
-        box: lowest and highest x, y, z of what is drawn; None for all.
-        background: RGB behind colour.
-        low_pass: the one that the scene was trained with.
-        backend: rasterizer.
+        mode: the quantity to show.
+        box: lowest and highest x, y, z of the crop box, world units; None to show everything.
+        background: RGB behind colour, in [0, 1].
+        low_pass: filter that the scene was trained with.
+        backend: name of the rasterizer.
     """
 
     mode: Mode = "colour"
@@ -40,7 +40,7 @@ class Look:
     backend: str | Kernels = "auto"
 
     def picture(self, gaussians: Gaussians, camera: Camera) -> UInt8[np.ndarray, "h w 3"]:
-        """Draws what a camera sees, 8-bit RGB."""
+        """Draws the view of a camera as 8-bit RGB."""
         if self.box:
             gaussians = within(gaussians, *(jnp.array(corner, jnp.float32) for corner in self.box))
         drawn = render(
@@ -59,7 +59,9 @@ class Look:
 
 @jax.jit
 def within(gaussians: Gaussians, low: Float[Array, "3"], high: Float[Array, "3"]) -> Gaussians:
-    """The scene with empty slots in place of all whose centre is outside a box: its shape, and with it
-    the compiled program, stays."""
+    """Replaces the Gaussians whose centre is outside a box by empty slots.
+
+    The shapes of the arrays stay the same, so no new program is compiled.
+    """
     inside = jnp.all((gaussians.means >= low[None]) & (gaussians.means <= high[None]), axis=1)
     return replace(gaussians, opacity_logits=jnp.where(inside, gaussians.opacity_logits, -jnp.inf))

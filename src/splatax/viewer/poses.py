@@ -1,4 +1,4 @@
-"""Cameras as viser has them: position, rotation to the world as wxyz, and vertical field of view."""
+"""Camera poses in viser's convention: position, rotation to the world as wxyz, vertical field of view."""
 
 from dataclasses import dataclass
 
@@ -8,18 +8,18 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from splatax.camera import Camera
-from splatax.paths import Key
+from splatax.trajectories import Keyframe
 
 
 @dataclass(frozen=True)
 class Pose:
-    """How someone looks at the scene. Camera axes are those of `Camera`: x right, y down, z forward.
+    """A browser's camera. Its axes are those of `Camera`: x right, y down, z forward.
 
     Attributes:
-        wxyz: rotation of camera axes to the world's.
+        wxyz: rotation from camera axes to world axes.
         position: optical centre, world units.
-        fov: from the top of the window to its bottom, radians.
-        window: width and height, pixels.
+        fov: vertical field of view, radians.
+        window: width and height of the window, pixels.
     """
 
     wxyz: Float[np.ndarray, "4"]
@@ -28,13 +28,16 @@ class Pose:
     window: tuple[int, int]
 
     @property
-    def key(self) -> Key:
-        """As a keyframe of a path."""
-        return Key(self.position, Rotation.from_quat(self.wxyz, scalar_first=True), self.fov)
+    def key(self) -> Keyframe:
+        """The same pose as a keyframe of a trajectory."""
+        return Keyframe(self.position, Rotation.from_quat(self.wxyz, scalar_first=True), self.fov)
 
     def camera(self, size: tuple[int, int]) -> Camera:
-        """That draws what the window shows. Pixels are not quite square where the size is not quite of the
-        window's shape: the browser stretches the picture back."""
+        """Returns the camera whose frame of this size fills the window.
+
+        If the size does not have the window's exact proportions, pixels are not exactly square; the
+        browser stretches the picture back.
+        """
         width, height = size
         half = np.tan(self.fov / 2)
         pose = np.eye(4)
@@ -51,7 +54,7 @@ class Pose:
 
 
 def pose_of(camera: Camera, window: tuple[int, int]) -> Pose:
-    """From where a window shows all that a camera saw, and more where it is of another shape."""
+    """Returns the pose from which a window shows all that a camera sees, and more in other proportions."""
     matrix = np.asarray(camera.cam_from_world, np.float64)
     rotation = Rotation.from_matrix(matrix[:3, :3].T)
     high = camera.height / 2 / float(camera.fy)

@@ -1,4 +1,4 @@
-"""A scene as one HTML file that opens with a double click: no server, no network."""
+"""Scenes as single HTML files, which need no server and no network."""
 
 from splatax.web.page import LOSES as LOSES
 from splatax.web.page import MAX_SH_DEGREE as MAX_SH_DEGREE

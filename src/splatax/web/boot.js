@@ -1,4 +1,4 @@
-// Gathers the parts of the page as they arrive, then unpacks and starts the viewer.
+// Collects the chunks of the page as they arrive, then decompresses and starts the viewer.
 const parts = { viewer: [], scene: [] };
 
 function part(name, base64) {
@@ -16,10 +16,10 @@ function failed(reason) {
 
 async function start() {
   if (!document.createElement("canvas").getContext("webgl2"))
-    return failed("This browser cannot draw in 3D: it has no WebGL 2. Switch on hardware acceleration, or use a newer browser.");
+    return failed("This browser has no WebGL 2, which the page needs. Turn on hardware acceleration, or use a newer browser.");
   if (!window.DecompressionStream)
-    return failed("This browser is too old to unpack the scene. Use one of 2023 or later.");
-  document.getElementById("state").textContent = "unpacking";
+    return failed("This browser is too old to decompress the scene. Use a browser from 2023 or later.");
+  document.getElementById("state").textContent = "decompressing";
   window.scene = new Blob(parts.scene).arrayBuffer().then((buffer) => new Uint8Array(buffer));
   const packed = new Blob(parts.viewer).stream().pipeThrough(new DecompressionStream("gzip"));
   const script = document.createElement("script");

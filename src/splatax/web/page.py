@@ -1,4 +1,4 @@
-"""Writes the page: the viewer and the scene inside one HTML file."""
+"""The page: the viewer and a scene inside one HTML file."""
 
 import base64
 import gzip
@@ -20,26 +20,27 @@ from splatax.math import morton
 from splatax.projection import NEAR, Antialiasing, Dilation, LowPass
 from splatax.web.staging import stage
 
-MAX_SH_DEGREE = 3  # that the viewer draws
+MAX_SH_DEGREE = 3  # highest degree that the viewer draws
 LOSES = (
     "As .spz, with finer SH: positions are rounded to 24 bits, opacities, colours and scales to 8 bits, "
     "rotations to 10, SH to 6 bits (degree 1) and 5 bits, clipped to -1 to 1."
 )
-SH_BUCKETS = (4, 8)  # half of the usual ones: 4 dB nearer to the scene for a fifth more bytes (fern)
+SH_BUCKETS = (4, 8)  # half of the usual sizes: 4 dB closer to the scene for a fifth more bytes (fern)
 VIEWER = Path(__file__).parent / "viewer.js"  # built from web/ by `make page`
-CHUNK = 3 << 17  # bytes that come as one: progress is shown after each
+CHUNK = 3 << 17  # bytes of each embedded chunk: progress is shown after each
 
 
 def save(path: str | Path, gaussians: Gaussians, **options: Any) -> None:
-    """Writes a page that shows a scene: it opens with a double click, and asks the network for nothing.
+    """Writes a page that shows a scene, as one file that makes no network requests.
 
     Args:
-        path: of the page.
+        path: file to write.
         gaussians: the scene, with SH up to degree 3.
-        options: title and all others of `document`.
+        options: title, and all other options of `document`.
 
     Raises:
-        InputError, FormatError: as `document`.
+        InputError: if the viewer has not been built.
+        FormatError: if the scene is empty, or its SH degree is above 3.
     """
     write_whole(Path(path), document(gaussians, name=str(path), **options).encode())
 
@@ -53,21 +54,21 @@ def document(
     low_pass: LowPass = Dilation(),
     name: str = "page",
 ) -> str:
-    """The HTML of a page that shows a scene.
+    """Returns the HTML of a page that shows a scene.
 
-    The scene is put upright and scaled to an ordinary size, by its cameras.
+    The scene is levelled and scaled to a standard size, according to its cameras.
 
     Args:
         gaussians: the scene, with SH up to degree 3.
         title: any text.
-        cameras: of the capture, by name: places to look from, and the way of the camera path.
+        cameras: cameras of the capture by name: the viewpoints, and the keyframes of the flight.
         background: display-referred RGB behind the scene, in [0, 1].
-        low_pass: as the scene was trained.
-        name: of the page, for errors.
+        low_pass: filter that the scene was trained with.
+        name: name of the page in error messages.
 
     Raises:
         InputError: if the viewer has not been built.
-        FormatError: if the scene is empty, or has harmonics that the viewer cannot draw.
+        FormatError: if the scene is empty, or its SH degree is above 3.
     """
     viewer = _viewer()
     if len(gaussians) == 0:
@@ -100,10 +101,10 @@ def document(
 
 
 def require_viewer() -> None:
-    """Makes sure that pages can be written here.
+    """Checks that pages can be written.
 
     Raises:
-        InputError: if the viewer is not built; it says how to.
+        InputError: if the viewer has not been built; the message says how to build it.
     """
     _viewer()
 
@@ -119,7 +120,7 @@ def _viewer() -> bytes:
 
 
 def _variances(low_pass: LowPass) -> dict[str, Any]:
-    """Pixels^2 that are added to each footprint, in the two ways there are."""
+    """Returns the variances that the viewer's two filters add to each footprint, pixels^2."""
     return {
         "dilation": low_pass.variance if isinstance(low_pass, Dilation) else 0,
         "antialiasing": low_pass.variance if isinstance(low_pass, Antialiasing) else 0,
@@ -127,7 +128,8 @@ def _variances(low_pass: LowPass) -> dict[str, Any]:
 
 
 def _spz(gaussians: Gaussians) -> bytes:
-    nearby = morton.order(np.asarray(gaussians.means))  # together: compresses and draws better
+    # Neighbours in space are neighbours in the file, which compresses and draws better.
+    nearby = morton.order(np.asarray(gaussians.means))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "scene.spz"
         formats.save(path, jax.tree.map(lambda leaf: leaf[nearby], gaussians), buckets=SH_BUCKETS)

@@ -1,4 +1,4 @@
-"""The scene as a viewer wants it: upright, of ordinary size, and with a place to look from."""
+"""Preparation of a scene for the web viewer: levelled, of standard size, and with a viewpoint."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,24 +12,24 @@ from splatax.camera import Camera, look_at
 from splatax.editing.placing import UP, level
 from splatax.errors import InputError
 from splatax.gaussians import Gaussians
-from splatax.similarity import Similarity
+from splatax.transforms import Similarity
 
-SIZE = 4.0  # viewer's units that the cameras (or, without any, the Gaussians) spread over, from their middle
-LEAST_TURN = 0.03  # of the axes, as an eigenvalue, for a point that all look at to exist
-SAMPLE = 20_000  # Gaussians that tell how far a camera sees
-FIELD_OF_VIEW = 50.0  # degrees, without cameras
-# From a camera's axes (right, down, forward) to those of three.js (right, up, back), and so for worlds.
+SIZE = 4.0  # radius of the cameras (or, without any, of the Gaussians) around their middle, viewer units
+LEAST_TURN = 0.03  # least eigenvalue for which the optical axes define a common point
+SAMPLE = 20_000  # Gaussians from which the depth seen by a camera is measured
+FIELD_OF_VIEW = 50.0  # degrees, for scenes without cameras
+# From axes right, down, forward (COLMAP) to right, up, back (three.js), of cameras and of worlds.
 HALF_TURN = np.diag([1.0, -1.0, -1.0])
 
 
 @dataclass(frozen=True)
 class Stage:
-    """Where things are in the viewer.
+    """The placement of a scene and its cameras in the viewer.
 
     Attributes:
-        place: the world's way into the viewer's frame, its y still down.
-        poses: the cameras there, in the terms of web/src/pose.js.
-        start: the pose to begin with, and its index among the cameras (-1: none of them).
+        place: transform from the world to the viewer's frame, in which y still points down.
+        poses: poses of the cameras in that frame, with the fields of web/src/pose.js.
+        start: initial pose, and its index among the cameras (-1 if it is none of them).
     """
 
     place: Similarity
@@ -38,11 +38,11 @@ class Stage:
 
 
 def stage(gaussians: Gaussians, cameras: Mapping[str, Camera]) -> Stage:
-    """Finds them, from what the cameras saw or, without cameras, from the Gaussians alone.
+    """Places a scene according to its cameras or, without cameras, according to the Gaussians.
 
     Args:
-        gaussians: the scene, at least one.
-        cameras: of the capture, by name; may be empty.
+        gaussians: the scene, at least one Gaussian.
+        cameras: cameras of the capture by name; may be empty.
     """
     means = np.asarray(gaussians.means, np.float64)
     if not cameras:
@@ -55,7 +55,7 @@ def stage(gaussians: Gaussians, cameras: Mapping[str, Camera]) -> Stage:
     middle = eyes.mean(axis=0)
     depths = _focal_distances(means, poses)
     spread = float(np.linalg.norm(eyes - middle, axis=1).max())
-    extent = max(spread, 0.2 * float(np.median(depths)))  # of cameras in one place: how far they see
+    extent = max(spread, 0.2 * float(np.median(depths)))  # cameras in one place: from the depths seen
     place = _place(_levelling(poses), middle, SIZE / extent)
     there = [
         pose_of(place.transform_camera(camera), place.scale * depth)
@@ -66,7 +66,7 @@ def stage(gaussians: Gaussians, cameras: Mapping[str, Camera]) -> Stage:
 
 
 def pose_of(camera: Camera, focus: float) -> dict:
-    """A camera in the viewer's frame, y up."""
+    """Converts a camera to a pose of the viewer, with y up, and `focus` as the distance of its pivot."""
     rotation = HALF_TURN @ np.asarray(camera.rotation, np.float64).T @ HALF_TURN
     fx, fy, cx, cy = (float(value) for value in (camera.fx, camera.fy, camera.cx, camera.cy))
     width, height = camera.width, camera.height
@@ -93,7 +93,7 @@ def _place(rotation: Float[np.ndarray, "3 3"], middle: Float[np.ndarray, "3"], s
 
 
 def _levelling(cameras: Sequence[Camera]) -> Float[np.ndarray, "3 3"]:
-    """What puts the scene upright; nothing if the cameras were held in all ways, so that none is up."""
+    """Returns the levelling rotation, or the identity if the cameras were held in all directions."""
     try:
         return level(cameras).rotation
     except InputError:
@@ -101,8 +101,10 @@ def _levelling(cameras: Sequence[Camera]) -> Float[np.ndarray, "3 3"]:
 
 
 def _focal_distances(means: Float[np.ndarray, "n 3"], cameras: Sequence[Camera]) -> Float[np.ndarray, " c"]:
-    """How far ahead of each camera lies what it is about: the point that all look at or, where there is
-    none, the middle of what it sees."""
+    """Returns the distance ahead of each camera of the point that all cameras look at.
+
+    If there is no such point, it is the median depth of the Gaussians that the camera sees.
+    """
     eyes = np.stack([np.asarray(camera.position, np.float64) for camera in cameras])
     forwards = np.stack([np.asarray(camera.rotation, np.float64)[2] for camera in cameras])
     # The point nearest to all optical axes solves sum (I - f f^T) (p - eye) = 0.
@@ -118,7 +120,7 @@ def _focal_distances(means: Float[np.ndarray, "n 3"], cameras: Sequence[Camera])
 
 
 def _median_depth(means: Float[np.ndarray, "n 3"], camera: Camera) -> float:
-    """Of the Gaussians inside a camera's picture; 1 if there are none."""
+    """Returns the median depth of the Gaussians inside a camera's image; 1 if there are none."""
     x, y, z = np.asarray(camera.rotation, np.float64) @ means.T + np.asarray(camera.translation)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
@@ -127,7 +129,7 @@ def _median_depth(means: Float[np.ndarray, "n 3"], camera: Camera) -> float:
 
 
 def _outside() -> Camera:
-    """A camera that sees a whole scene of ordinary size around the origin, from a little above."""
+    """Returns a camera that sees a whole scene of standard size around the origin, from slightly above."""
     eye = jnp.array([0.0, -0.35, -1.0]) * SIZE * 2.4 / np.hypot(0.35, 1)
     pose = look_at(eye, jnp.zeros(3), jnp.asarray(UP, jnp.float32))
     width, height = 1600, 1000

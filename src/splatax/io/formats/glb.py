@@ -24,7 +24,7 @@ from splatax.io.formats.glb_scene import EXTENSION
 from splatax.io.formats.tolerance import Tolerance
 from splatax.io.formats.untrusted import structured
 from splatax.math import harmonics
-from splatax.similarity import half_turn
+from splatax.transforms import half_turn
 
 FLOAT, UNSIGNED_BYTE = 5126, 5121  # glTF's names of types
 VERTICES = 34962  # of a buffer's use

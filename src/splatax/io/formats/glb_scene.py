@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from splatax.errors import FormatError
 from splatax.io.formats.untrusted import Cursor
-from splatax.similarity import Similarity
+from splatax.transforms import Similarity
 
 EXTENSION = "KHR_gaussian_splatting"
 PREFIXES = ("POSITION", f"{EXTENSION}:")

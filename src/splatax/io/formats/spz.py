@@ -31,7 +31,7 @@ from splatax.io.formats.marks import MIP
 from splatax.io.formats.tolerance import Tolerance
 from splatax.io.formats.untrusted import Cursor, check_expansion, inflate
 from splatax.math import harmonics
-from splatax.similarity import half_turn
+from splatax.transforms import half_turn
 
 MAGIC = b"NGSP"
 HEADER = struct.Struct("<4sIIBBBB")  # the last byte is the number of streams in version 4

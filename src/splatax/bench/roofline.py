@@ -1,9 +1,9 @@
-"""The counted limit: how fast the rasterizer could be, if it did nothing but its arithmetic.
+"""Roofline of the rasterizer: the time that its arithmetic alone takes at the machine's measured peak.
 
-A slot is a pixel at which a splat is evaluated. The image takes 33 operations a slot: exponent 10,
-exp2 13, alpha, transmittance and weight 4, three channels 6. The gradient takes 62: the same again
-without channels, and 35 of its own. Counted in native/cpu/chunk.h, blending.h and gradient.h, a fused
-multiply-add as two, comparisons as none.
+A slot is a pixel at which a splat is evaluated. The forward pass takes 33 operations a slot: exponent 10,
+exp2 13, alpha, transmittance and weight 4, three channels 6. The backward pass takes 62: the same again
+without channels, and 35 of its own. These are counts of native/cpu/chunk.h, blending.h and gradient.h, with a
+fused multiply-add as two operations and comparisons as none.
 """
 
 import os
@@ -17,22 +17,22 @@ from splatax.backends.cpu import MAX_PAIRS, Build, library
 from splatax.bench.timing import timed
 from splatax.splats import Splats
 
-TILE = 16  # pixels a side; of native/cpu/splats.h
-FLOPS = {"rasterize": 33, "rasterize F+B": 33 + 62}  # a slot
-CHAINS, LANES = 12, 16  # of native/cpu/roofline.h and lanes.h
-ROUNDS, TRIES = 2_000_000, 5  # of the measurement: about 0.1 s each
+TILE = 16  # pixels per side, as in native/cpu/splats.h
+FLOPS = {"rasterize": 33, "rasterize F+B": 33 + 62}  # operations per slot
+CHAINS, LANES = 12, 16  # as in native/cpu/roofline.h and lanes.h
+ROUNDS, TRIES = 2_000_000, 5  # of the measurement of the peak; a try takes about 0.1 s
 
 
 @dataclass(frozen=True)
 class Slots:
-    """Of one image: how many the native rasterizer evaluates, and in how many it draws."""
+    """Numbers of slots of one image: evaluated by the native rasterizer, and drawn."""
 
     evaluated: int
     drawn: int
 
 
 def slots(splats: Splats) -> Slots | None:
-    """Counts them; None without the native library."""
+    """Counts the slots of a view; None if the native library is not available."""
     if library.why_unavailable(None):
         return None
     tiles = -(-splats.width // TILE) * -(-splats.height // TILE)
@@ -50,8 +50,11 @@ def slots(splats: Splats) -> Slots | None:
 
 
 def peak_flops() -> float | None:
-    """Multiplications and additions a second that all threads reach together, in chains of fused
-    multiply-adds that touch no memory: the best of a few tries. None without the native library."""
+    """Measures the peak arithmetic of all threads together, in operations per second.
+
+    The threads run chains of fused multiply-adds that touch no memory; the best of a few tries counts.
+    The result is None if the native library is not available.
+    """
     if library.why_unavailable(None):
         return None
     build = Build()
@@ -66,5 +69,5 @@ def peak_flops() -> float | None:
 
 
 def shortest(operation: str, counted: Slots, flops: float) -> float | None:
-    """Milliseconds that the arithmetic of an operation takes at the peak; None if it is not counted."""
+    """Returns the milliseconds of an operation's arithmetic at the peak; None if it is not counted."""
     return FLOPS[operation] * counted.evaluated / flops * 1e3 if operation in FLOPS else None

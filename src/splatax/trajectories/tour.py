@@ -1,4 +1,4 @@
-"""A flight through the cameras of a capture itself."""
+"""A trajectory past the cameras of a capture."""
 
 import itertools
 from collections.abc import Sequence
@@ -7,28 +7,29 @@ import numpy as np
 from jaxtyping import Float
 
 from splatax.camera import Camera
-from splatax.paths.interpolation import Key, Size, interpolate
+from splatax.trajectories.interpolation import Keyframe, Size, interpolate
 
-TURN = 1.0  # a turn by so many radians is as long as the spread of the cameras
-STATIONS = 24  # at most: more make a film restless
+TURN = 1.0  # radians of rotation that count as much as the spread of the cameras
+STATIONS = 24  # most cameras that a tour passes: more make a video restless
 
 
 def tour(cameras: Sequence[Camera], frames: int, size: Size) -> list[Camera]:
-    """A smooth flight past the cameras at even speed, from one end of a short way through them to the other.
+    """Returns a smooth trajectory past the cameras at constant speed, in the order of a short tour.
 
     Args:
-        cameras: of the capture, one or more. Of more than 24, as many, evenly from that way.
-        frames: how many.
-        size: of the pictures.
+        cameras: cameras of the capture, one or more. The trajectory passes at most 24 of them, evenly
+            chosen along the tour.
+        frames: number of cameras to return.
+        size: width and height of the frames, pixels.
     """
-    keys = [Key.of(camera, size) for camera in cameras]
+    keys = [Keyframe.of(camera, size) for camera in cameras]
     between = distances(keys)
     order = short_way(between)
     chosen = np.unique(np.round(np.linspace(0, len(order) - 1, min(len(order), STATIONS))).astype(int))
     stations = [order[i] for i in chosen]
     kept = [stations[0]]
     for station in stations[1:]:
-        if between[kept[-1], station] > 1e-6:  # else two photos from one place
+        if between[kept[-1], station] > 1e-6:  # two photos from one place are one station
             kept.append(station)
     gaps = [between[a, b] for a, b in itertools.pairwise(kept)]
     times = np.concatenate([[0], np.cumsum(gaps)])
@@ -36,8 +37,8 @@ def tour(cameras: Sequence[Camera], frames: int, size: Size) -> list[Camera]:
     return [key.camera(size) for key in interpolate([keys[i] for i in kept], times, moments)]
 
 
-def distances(keys: Sequence[Key]) -> Float[np.ndarray, "n n"]:
-    """How far keys are from each other: in place, by the spread of all, and in angle."""
+def distances(keys: Sequence[Keyframe]) -> Float[np.ndarray, "n n"]:
+    """Returns the distances between keyframes: of positions, in units of their spread, plus angles."""
     positions = np.stack([key.position for key in keys])
     spread = np.linalg.norm(positions - positions.mean(axis=0), axis=1).mean() or 1.0
     apart = np.linalg.norm(positions[:, None] - positions[None], axis=2)
@@ -48,8 +49,11 @@ def distances(keys: Sequence[Key]) -> Float[np.ndarray, "n n"]:
 
 
 def short_way(between: Float[np.ndarray, "n n"]) -> list[int]:
-    """An order in which to visit all, from one end to the other: the nearest next, from the one that is
-    farthest from all, then 2-opt until no exchange shortens the way."""
+    """Returns a short open tour through all points, as a list of indices.
+
+    The tour starts at the point with the largest sum of distances, goes to the nearest unvisited point
+    each time, and is then improved by 2-opt until no exchange shortens it.
+    """
     count = len(between)
     way = [int(np.argmax(between.sum(axis=1)))]
     left = set(range(count)) - set(way)

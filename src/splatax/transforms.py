@@ -1,4 +1,4 @@
-"""Turning, scaling and moving a whole scene: Gaussians and cameras alike, so that pictures stay."""
+"""Similarity transforms of scenes. Transforming Gaussians and cameras alike keeps renderings the same."""
 
 from dataclasses import dataclass, replace
 
@@ -12,17 +12,17 @@ from splatax.camera import Camera
 from splatax.gaussians import Gaussians
 from splatax.math import harmonics, quaternions
 
-GENERIC = np.array([0.36, 0.48, 0.8])  # a direction in which no harmonic up to degree 4 is zero
+GENERIC = np.array([0.36, 0.48, 0.8])  # a direction at which no harmonic up to degree 4 is zero
 
 
 @dataclass(frozen=True)
 class Similarity:
-    """p' = scale R p + t.
+    """A similarity transform of space, p' = scale R p + t.
 
     Attributes:
         rotation: R, a rotation matrix.
         translation: t, world units after scaling.
-        scale: above zero.
+        scale: a factor above zero.
     """
 
     rotation: Float[np.ndarray, "3 3"]
@@ -47,17 +47,23 @@ class Similarity:
         scale: float = 1.0,
         move: tuple[float, float, float] = (0, 0, 0),
     ) -> "Similarity":
-        """Turned about the world's x axis, then its y axis, then its z axis; then scaled; then moved."""
+        """Returns the transform that rotates, then scales, then translates.
+
+        Args:
+            degrees: angles of rotation about the world's x axis, then its y axis, then its z axis.
+            scale: a factor above zero.
+            move: the translation, world units after scaling.
+        """
         rotation = Rotation.from_euler("xyz", degrees, degrees=True).as_matrix()
         return cls(rotation, np.array(move, np.float64), scale)
 
     def after(self, first: "Similarity") -> "Similarity":
-        """`first`, and then this."""
+        """Returns the composition that applies `first`, and then this transform."""
         translation = self.scale * self.rotation @ first.translation + self.translation
         return Similarity(self.rotation @ first.rotation, translation, self.scale * first.scale)
 
     def transform(self, gaussians: Gaussians) -> Gaussians:
-        """The scene elsewhere: its colours turn with it (see `harmonics.rotation`)."""
+        """Returns the transformed scene, with rotated spherical harmonics (see `harmonics.rotation`)."""
         x, y, z, w = Rotation.from_matrix(self.rotation).as_quat()
         turn = jnp.asarray([w, x, y, z], gaussians.quats.dtype)
         turned = np.asarray(gaussians.means, np.float64) @ self.rotation.T
@@ -72,7 +78,7 @@ class Similarity:
         )
 
     def transform_camera(self, camera: Camera) -> Camera:
-        """The camera that sees the transformed scene as `camera` saw the scene; depths scale too."""
+        """Returns the camera that sees the transformed scene as `camera` sees the scene; depths scale."""
         pose = np.asarray(camera.cam_from_world, np.float64)
         rotation = pose[:3, :3] @ self.rotation.T
         moved = np.eye(4)
@@ -82,10 +88,10 @@ class Similarity:
 
 
 def half_turn(gaussians: Gaussians, axis: int) -> Gaussians:
-    """The scene turned by 180 degrees around the world's axis 0, 1 or 2: signs change, nothing is rounded.
+    """Returns the scene rotated by 180 degrees about the world's axis 0, 1 or 2, without rounding.
 
-    From one frame of computer graphics to another: around x from right-down-forward (COLMAP) to
-    right-up-back (OpenGL), around z to left-up-forward; and back by the same.
+    Only signs change. The rotation converts between frames of computer graphics: about x between
+    right-down-forward (COLMAP) and right-up-back (OpenGL), about z to left-up-forward.
     """
     signs = np.where(np.arange(3) == axis, np.float32(1), np.float32(-1))
     degree = gaussians.sh_degree

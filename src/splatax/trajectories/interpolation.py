@@ -1,4 +1,4 @@
-"""A smooth flight through keyframes: cubic curves of positions, rotations and focal lengths."""
+"""Smooth interpolation of keyframes: cubic curves of position, rotation and focal length."""
 
 import itertools
 from collections.abc import Sequence
@@ -17,13 +17,13 @@ Size = tuple[int, int]  # width and height, pixels
 
 
 @dataclass(frozen=True)
-class Key:
-    """Where the camera is at one moment.
+class Keyframe:
+    """Pose and field of view of the camera at one time.
 
     Attributes:
         position: optical centre, world units.
-        rotation: of camera axes (x right, y down, z forward) to the world's.
-        fov: from the picture's top to its bottom, radians.
+        rotation: from camera axes (x right, y down, z forward) to world axes.
+        fov: vertical field of view, radians.
     """
 
     position: Float[np.ndarray, "3"]
@@ -31,16 +31,23 @@ class Key:
     fov: float
 
     @classmethod
-    def of(cls, camera: Camera, size: Size) -> "Key":
-        """A camera as it is shown in a picture of another shape, which cuts off what does not fit: it
-        never shows more than the camera saw. A principal point beside the middle is not kept."""
+    def of(cls, camera: Camera, size: Size) -> "Keyframe":
+        """Returns the keyframe of a camera, for frames of another size.
+
+        The frame is cropped to its aspect ratio, so it never shows more than the camera saw. An
+        off-centre principal point is lost.
+
+        Args:
+            camera: the camera.
+            size: width and height of the frames, pixels.
+        """
         focal = float(camera.fy) * max(size[0] / camera.width, size[1] / camera.height)
         pose = np.asarray(camera.cam_from_world, np.float64)
         rotation = Rotation.from_matrix(pose[:3, :3].T)
         return cls(-pose[:3, :3].T @ pose[:3, 3], rotation, 2 * np.arctan(size[1] / 2 / focal))
 
     def camera(self, size: Size) -> Camera:
-        """The camera that takes a picture of this size."""
+        """Returns the camera for a frame of this size, width and height in pixels."""
         pose = np.eye(4)
         pose[:3, :3] = self.rotation.as_matrix().T
         pose[:3, 3] = -pose[:3, :3] @ self.position
@@ -49,19 +56,24 @@ class Key:
 
 
 def interpolate(
-    keys: Sequence[Key], times: npt.ArrayLike, moments: npt.ArrayLike, *, closed: bool = False
-) -> list[Key]:
-    """Where the camera is at each moment. It passes every key with a continuous velocity.
+    keys: Sequence[Keyframe], times: npt.ArrayLike, moments: npt.ArrayLike, *, closed: bool = False
+) -> list[Keyframe]:
+    """Interpolates keyframes at given times. The trajectory passes every keyframe with a continuous velocity.
 
-    Velocities at keys are those of Catmull and Rom, weighed by time: of the parabola through the key and
-    its neighbours. Rotations follow de Casteljau's construction with slerp (Shoemake 1985), whose
-    velocities at keys are the given ones too. Focal lengths change by equal factors in equal times.
+    The velocities at keyframes are those of Catmull and Rom for unequal intervals: of the parabola
+    through the keyframe and its two neighbours. Rotations follow de Casteljau's construction with slerp
+    (Shoemake 1985), which has the same velocities at the keyframes. Focal lengths are interpolated
+    geometrically.
 
     Args:
-        keys: one or more.
-        times: of the keys, increasing. For a closed path one more: when it is back at the first.
-        moments: within those times.
-        closed: the path ends where it began, without a jolt.
+        keys: keyframes, one or more.
+        times: one increasing time for each keyframe. A closed trajectory needs one more: the time at
+            which it returns to the first keyframe.
+        moments: times to interpolate at, within the range of `times`.
+        closed: whether the trajectory returns to its start with a continuous velocity.
+
+    Returns:
+        One keyframe for each of `moments`.
     """
     count = len(keys)
     chosen = [*range(count), 0] if closed else list(range(count))
@@ -75,13 +87,13 @@ def interpolate(
     curve = CubicHermiteSpline(at, values, velocities)(when)
     turned = _turn(rotations, at, when, closed)
     return [
-        Key(row[:3], rotation, 2 * np.arctan(np.exp(-row[3])))
+        Keyframe(row[:3], rotation, 2 * np.arctan(np.exp(-row[3])))
         for row, rotation in zip(curve, turned, strict=True)
     ]
 
 
 def _velocities(slopes: Float[np.ndarray, "k d"], gaps: Float[np.ndarray, " k"], closed: bool) -> np.ndarray:
-    """At k + 1 keys, from the mean velocities between them."""
+    """Returns the velocities at k + 1 keyframes from the mean velocities of the k intervals between them."""
     first, last = (slopes[-1:], slopes[:1]) if closed else (slopes[:1], slopes[-1:])
     before, after = np.concatenate([first, slopes]), np.concatenate([slopes, last])
     gap_before = np.concatenate([gaps[-1:] if closed else gaps[:1], gaps])[:, None]
@@ -102,11 +114,11 @@ def _turn(rotations: Rotation, at: np.ndarray, when: np.ndarray, closed: bool) -
         end * Rotation.from_rotvec(-velocities[segment + 1] * third),
         end,
     ]
-    share = ((when - at[segment]) / gaps[segment])[:, None]
+    fraction = ((when - at[segment]) / gaps[segment])[:, None]
     while len(points) > 1:
-        points = [_slerp(a, b, share) for a, b in itertools.pairwise(points)]
+        points = [_slerp(a, b, fraction) for a, b in itertools.pairwise(points)]
     return points[0]
 
 
-def _slerp(a: Rotation, b: Rotation, share: Float[np.ndarray, "n 1"]) -> Rotation:
-    return a * Rotation.from_rotvec((a.inv() * b).as_rotvec() * share)
+def _slerp(a: Rotation, b: Rotation, fraction: Float[np.ndarray, "n 1"]) -> Rotation:
+    return a * Rotation.from_rotvec((a.inv() * b).as_rotvec() * fraction)

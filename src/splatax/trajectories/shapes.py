@@ -1,4 +1,4 @@
-"""Orbit and spiral, from where the cameras of a capture are and what they look at."""
+"""Orbit and spiral trajectories, derived from the cameras of a capture."""
 
 from collections.abc import Sequence
 
@@ -9,29 +9,30 @@ from scipy.spatial.transform import Rotation
 
 from splatax.camera import Camera, look_at
 from splatax.errors import InputError
-from splatax.paths.interpolation import Key, Size
+from splatax.trajectories.interpolation import Keyframe, Size
 
-FOCAL = 0.8  # of the longer side of the image, for a scene without cameras
-VIEW = (0.5, 0.2, 1.0)  # direction in which it is looked at: from above where y points down
-LEVEL_WEIGHT = 0.02  # of "tops point up", against "sides are level"
-TURNS = 2  # of the spiral
-REACH = 90  # percentile of the cameras' offsets that the spiral goes out to
+FOCAL = 0.8  # focal length for a scene without cameras, in units of the longer side of the image
+VIEW = (0.5, 0.2, 1.0)  # viewing direction for a scene without cameras: from above if y points down
+LEVEL_WEIGHT = 0.02  # weight of "tops point up" relative to "horizontal axes are level"
+TURNS = 2  # turns of the spiral
+REACH = 90  # percentile of the cameras' offsets that is the amplitude of the spiral
 # (both from the authors' code of Mildenhall et al. 2019, Local Light Field Fusion)
 
 
 def orbit(cameras: Sequence[Camera], frames: int, size: Size, focus: Float[np.ndarray, "3"]) -> list[Camera]:
-    """One turn around a point, at the height and distance that the cameras have in the median.
+    """Returns one turn around a point, at the cameras' median height above it and median distance from it.
 
-    It starts beside the first camera that is not nearer than most, and looks at the point all the time.
+    The orbit starts near the first camera whose distance is at least the median. Every frame looks at
+    the point.
 
     Args:
-        cameras: of the capture, one or more.
-        frames: how many.
-        size: of the pictures.
-        focus: the point; see `focus_of`.
+        cameras: cameras of the capture, one or more.
+        frames: number of cameras to return.
+        size: width and height of the frames, pixels.
+        focus: the point, such as `focus_of(cameras)`, world units.
 
     Raises:
-        InputError: if the cameras are right above the point.
+        InputError: if the cameras are directly above the point.
     """
     positions, up = _positions(cameras), up_of(cameras)
     heights = (positions - focus) @ up
@@ -40,7 +41,7 @@ def orbit(cameras: Sequence[Camera], frames: int, size: Size, focus: Float[np.nd
     distance = float(np.median(distances))
     sideways = level[int(np.argmax(distances >= distance))]
     if distance <= 1e-6 * float(np.linalg.norm(positions - focus, axis=1).max()):
-        raise InputError("--path orbit: the cameras are right above what they look at. Ask for interpolate.")
+        raise InputError("orbit: the cameras are directly above what they look at. Use interpolate.")
     sideways = sideways / np.linalg.norm(sideways) * distance
     fov = _fov(cameras, size)
     path = []
@@ -53,23 +54,23 @@ def orbit(cameras: Sequence[Camera], frames: int, size: Size, focus: Float[np.nd
 def spiral(
     cameras: Sequence[Camera], frames: int, size: Size, points: Float[np.ndarray, "n 3"]
 ) -> list[Camera]:
-    """Two turns before a capture that was taken in one direction, as in the films of Mildenhall et al. 2019.
+    """Returns a spiral of two turns for a forward-facing capture, as in the videos of Mildenhall et al. 2019.
 
-    All look at one point, at the depth that the mean of the inverse depths of `points` tells.
+    Every frame looks at one point, whose inverse depth is the mean of the inverse depths of `points`.
 
     Args:
-        cameras: of the capture, one or more.
-        frames: how many.
-        size: of the pictures.
-        points: on surfaces of the scene.
+        cameras: cameras of the capture, one or more.
+        frames: number of cameras to return.
+        size: width and height of the frames, pixels.
+        points: points on surfaces of the scene, world units.
 
     Raises:
-        InputError: if the cameras look in all directions, or have none of the points before them.
+        InputError: if the cameras look in all directions, or none of the points is in front of them.
     """
     positions = _positions(cameras)
     forward = np.mean([np.asarray(camera.rotation, np.float64)[2] for camera in cameras], axis=0)
     if np.linalg.norm(forward) < 0.5:
-        raise InputError("--path spiral: the cameras look in all directions. Ask for orbit, or interpolate.")
+        raise InputError("spiral: the cameras look in all directions. Use orbit or interpolate.")
     centre = positions.mean(axis=0)
     fov = _fov(cameras, size)
     middle = _looking(centre, centre + forward, up_of(cameras), fov)
@@ -78,7 +79,7 @@ def spiral(
     depths = (points - centre) @ axes[2]
     visible = depths > 1e-3 * max(np.abs(depths).max(initial=0), 1e-12)
     if not visible.any():
-        raise InputError("--path spiral: nothing of the scene is before the cameras. Ask for interpolate.")
+        raise InputError("spiral: nothing of the scene is in front of the cameras. Use interpolate.")
     target = centre + axes[2] / np.mean(1 / depths[visible])
     path = []
     for angle in np.linspace(0, 2 * np.pi * TURNS, frames, endpoint=False):
@@ -88,12 +89,12 @@ def spiral(
 
 
 def overview(points: Float[np.ndarray, "n 3"], size: Size, nearness: float = 1.0) -> Camera:
-    """A camera that has nearly all of a scene in view, y pointing down.
+    """Returns a camera that sees nearly all of a scene, assuming that y points down.
 
     Args:
-        points: of the scene, one or more.
-        size: of the picture.
-        nearness: 3 is a third as far from the middle.
+        points: points of the scene, one or more, world units.
+        size: width and height of the image, pixels.
+        nearness: factor by which the camera is closer to the centre of the scene.
     """
     low, high = np.percentile(np.asarray(points, np.float64), [1, 99], axis=0)
     centre, radius = (low + high) / 2, max(np.linalg.norm(high - low) / 2, 1e-6)
@@ -105,26 +106,29 @@ def overview(points: Float[np.ndarray, "n 3"], size: Size, nearness: float = 1.0
 
 
 def focus_of(cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
-    """The point nearest to all optical axes, in the sense of least squares.
+    """Returns the point nearest to all optical axes, in the sense of least squares.
 
     Raises:
-        InputError: if most cameras have it behind them, or the axes are parallel.
+        InputError: if the point is behind most cameras, or the axes are parallel.
     """
     positions = _positions(cameras)
     forward = np.stack([np.asarray(camera.rotation, np.float64)[2] for camera in cameras])
     across = np.eye(3) - forward[:, :, None] * forward[:, None, :]
     normal = across.sum(axis=0)
     if np.linalg.eigvalsh(normal)[0] < 1e-6 * len(cameras):
-        raise InputError("--path orbit: all cameras look the same way. Ask for spiral, or interpolate.")
+        raise InputError("orbit: all cameras look the same way. Use spiral or interpolate.")
     point = np.linalg.solve(normal, np.einsum("nij,nj->i", across, positions))
     if np.median(np.einsum("ni,ni->n", point - positions, forward)) <= 0:
-        raise InputError("--path orbit: the cameras look outwards, at no common point. Ask for interpolate.")
+        raise InputError("orbit: the cameras look outwards, at no common point. Use interpolate.")
     return point
 
 
 def up_of(cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
-    """What is up, of length one: photos are held level, so it is at right angles to the cameras' right
-    sides; and on the side of their tops, which also decides where all look the same way."""
+    """Returns the unit vector that points up, assuming that the photos were held level.
+
+    It is the direction most nearly at right angles to the horizontal (x) axes of all cameras, on the
+    side of their tops. A small weight on the mean of the tops decides if all cameras look the same way.
+    """
     rotations = np.stack([np.asarray(camera.rotation, np.float64) for camera in cameras])
     right, top = rotations[:, 0], -rotations[:, 1].mean(axis=0)
     level = right.T @ right / len(right)
@@ -137,13 +141,13 @@ def _positions(cameras: Sequence[Camera]) -> Float[np.ndarray, "n 3"]:
 
 
 def _fov(cameras: Sequence[Camera], size: Size) -> float:
-    return float(np.median([Key.of(camera, size).fov for camera in cameras]))
+    return float(np.median([Keyframe.of(camera, size).fov for camera in cameras]))
 
 
-def _looking(position: np.ndarray, target: np.ndarray, up: np.ndarray, fov: float) -> Key:
+def _looking(position: np.ndarray, target: np.ndarray, up: np.ndarray, fov: float) -> Keyframe:
     forward = (target - position) / np.linalg.norm(target - position)
     right = np.cross(forward, up)
     right = right / np.linalg.norm(right)
-    return Key(
+    return Keyframe(
         position, Rotation.from_matrix(np.stack([right, np.cross(forward, right), forward], axis=1)), fov
     )

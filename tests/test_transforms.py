@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 import splatax as sx
 from scenes import camera_at, random_gaussians
 from splatax.math import harmonics
-from splatax.similarity import Similarity, half_turn
+from splatax.transforms import Similarity, half_turn
 
 PLACES = [
     Similarity.of(degrees=(20.0, -50.0, 130.0), scale=2.5, move=(3.0, -1.0, 0.5)),

@@ -1,4 +1,4 @@
-"""Keyframes in a JSON file, as people write them and as the live viewer saves them."""
+"""JSON files of keyframes, written by hand or saved by the live viewer."""
 
 import itertools
 import json
@@ -11,25 +11,30 @@ from scipy.spatial.transform import Rotation
 
 from splatax.camera import Camera
 from splatax.errors import FormatError
-from splatax.paths.interpolation import Key, Size, interpolate
+from splatax.trajectories.interpolation import Keyframe, Size, interpolate
 
 
 def read(path: Path, frames: int, size: Size) -> list[Camera]:
-    """The path that a file describes, spread over so many frames.
+    """Reads a file of keyframes and interpolates them to a number of frames.
 
     The file is {"closed": false, "keyframes": [{"position": [x, y, z], "wxyz": [w, x, y, z], "fov":
-    degrees, "seconds": s}, ...]}: wxyz turns camera axes (x right, y down, z forward) to the world's, fov
-    is from top to bottom. "seconds" tell the rhythm and may be left out of all: then a step takes as
-    long as any other. A closed path goes back to the first.
+    degrees, "seconds": s}, ...]}. wxyz rotates camera axes (x right, y down, z forward) to world axes, and
+    fov is the vertical field of view. "seconds" sets the relative timing; if no keyframe has it,
+    keyframes are evenly spaced. A closed trajectory returns to its first keyframe.
+
+    Args:
+        path: the JSON file.
+        frames: number of cameras to return.
+        size: width and height of the frames, pixels.
 
     Raises:
-        FormatError: if the file is missing or is something else.
+        FormatError: if the file is missing or is not a file of keyframes.
     """
     try:
         contents = json.loads(path.read_text())
     except FileNotFoundError:
         raise FormatError(
-            f"{path}: no such file. --path is orbit, spiral, interpolate or a .json file."
+            f"{path}: no such file. A camera path is orbit, spiral, interpolate or a .json file of keyframes."
         ) from None
     except (OSError, ValueError) as error:
         raise FormatError(f"{path}: not a JSON file ({error}). Save the path again.") from error
@@ -44,8 +49,8 @@ def read(path: Path, frames: int, size: Size) -> list[Camera]:
     return [key.camera(size) for key in interpolate(keys, times, moments, closed=closed)]
 
 
-def write(keys: Sequence[Key]) -> bytes:
-    """The contents of a file with these keyframes."""
+def write(keys: Sequence[Keyframe]) -> bytes:
+    """Returns the contents of a JSON file with these keyframes."""
     rows = [
         {
             "position": [float(x) for x in key.position],
@@ -57,14 +62,14 @@ def write(keys: Sequence[Key]) -> bytes:
     return json.dumps({"closed": False, "keyframes": rows}, indent=1).encode()
 
 
-def _key(row: dict[str, Any]) -> Key:
+def _key(row: dict[str, Any]) -> Keyframe:
     position, wxyz = (np.array(row[name], np.float64) for name in ("position", "wxyz"))
     fov = float(row["fov"])
     if position.shape != (3,) or wxyz.shape != (4,) or not np.isfinite([*position, *wxyz]).all():
         raise ValueError("position has 3 numbers, wxyz has 4")
     if not 0 < fov < 180:
         raise ValueError(f"fov is an angle of 0 to 180 degrees, not {fov}")
-    return Key(position, Rotation.from_quat(wxyz, scalar_first=True), np.radians(fov))
+    return Keyframe(position, Rotation.from_quat(wxyz, scalar_first=True), np.radians(fov))
 
 
 def _times(rows: list[dict[str, Any]], closed: bool) -> list[float]:

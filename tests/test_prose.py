@@ -1,0 +1,134 @@
+"""Docstrings of public names open with a sentence that stands without the name.
+
+The rule: the docstring of a public module, class, function or attribute does not open with a preposition, a
+conjunction or a relative pronoun, which need a subject that only the name supplies ("Of the loss of a view.",
+"What a camera sees."). A function opens with a verb in the third person ("Returns", "Projects"); a class, a
+property or a module opens with a noun phrase. A name is public if no part of its path starts with "_".
+"""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+import splatax
+
+ROOT = Path(splatax.__file__).parent
+FORBIDDEN = re.compile(
+    """about|above|after|against|along|among|and|around|as|at|because|before|behind|below|beside|between|beyond
+    |but|by|during|except|for|from|how|if|in|inside|into|like|near|of|off|on|onto|or|out|outside|over|per|since
+    |so|such|than|that|though|through|throughout|till|to|toward|towards|under|until|up|upon|via|what|when|where
+    |whether|which|while|who|whom|whose|why|with|within|without""",
+    re.IGNORECASE | re.VERBOSE,
+)
+# Packages and modules whose prose has been revised. To be widened to the whole tree.
+DONE = (
+    "bench",
+    "demo/raycast.py",
+    "demo/shapes.py",
+    "demo/still_life.py",
+    "editing",
+    "math",
+    "notebook.py",
+    "trajectories",
+    "transforms.py",
+    "viewer",
+    "web",
+)
+
+
+def public_docstrings(tree):
+    """Yields (name, kind, docstring) of the public names in a syntax tree, the module's own first."""
+    if (text := ast.get_docstring(tree)) is not None:
+        yield "module", "module", text
+    yield from _inside(tree, "")
+
+
+def _inside(node, prefix):
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, (ast.If, ast.Try, ast.With)):
+            yield from _inside(child, prefix)
+        if not isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
+            continue
+        if child.name.startswith("_"):
+            continue
+        if (text := ast.get_docstring(child)) is not None:
+            yield prefix + child.name, _kind(child), text
+        if isinstance(child, ast.ClassDef):
+            yield from _attributes(child, f"{prefix}{child.name}.")
+            yield from _inside(child, f"{prefix}{child.name}.")
+
+
+def _kind(node):
+    if isinstance(node, ast.ClassDef):
+        return "class"
+    decorators = [ast.unparse(decorator) for decorator in node.decorator_list]
+    return "property" if any(d.endswith(("property", ".setter")) for d in decorators) else "function"
+
+
+def _attributes(node, prefix):
+    """Yields the strings that follow an assignment in a class body, which document an attribute."""
+    for before, after in zip(node.body, node.body[1:], strict=False):
+        if isinstance(before, (ast.Assign, ast.AnnAssign)) and isinstance(after, ast.Expr):
+            target = before.target if isinstance(before, ast.AnnAssign) else before.targets[0]
+            if isinstance(after.value, ast.Constant) and isinstance(after.value.value, str):
+                yield prefix + ast.unparse(target), "attribute", after.value.value
+
+
+def faults(source):
+    """Lists what is wrong with the docstrings of a module."""
+    found = []
+    for name, kind, text in public_docstrings(ast.parse(source)):
+        first = text.split()[0].strip("\"'`*,.:;()[]") if text.split() else ""
+        if FORBIDDEN.fullmatch(first):
+            found.append(f"{name}: opens with {first!r}")
+        elif kind == "function" and not (first.isalpha() and first[0].isupper() and first.endswith("s")):
+            found.append(f"{name}: a function opens with a verb in the third person, not {first!r}")
+    return found
+
+
+def revised():
+    for name in DONE:
+        path = ROOT / name
+        assert path.exists(), f"{name} is in DONE, but there is no such package or module"
+        yield from sorted(path.rglob("*.py")) if path.is_dir() else [path]
+
+
+@pytest.mark.parametrize("path", [pytest.param(p, id=str(p.relative_to(ROOT))) for p in revised()])
+def test_docstrings_of_public_names_open_with_a_sentence(path):
+    assert not faults(path.read_text())
+
+
+@pytest.mark.parametrize(
+    ("source", "fault"),
+    [
+        ('"""What is drawn."""', "opens with 'What'"),
+        ('def key():\n    """Of the steps."""', "opens with 'Of'"),
+        ('def key():\n    """The key of a step."""', "third person"),
+        ('def key():\n    """`key` of a step."""', "third person"),
+        ('class Key:\n    """So many times as many."""', "opens with 'So'"),
+        ('class Key:\n    seed: int\n    """Of all randomness."""', "Key.seed: opens with 'Of'"),
+        (
+            'class Key:\n    @property\n    def old(self):\n        """Whether it is old."""',
+            "opens with 'Whether'",
+        ),
+    ],
+)
+def test_fragments_are_found(source, fault):
+    (found,) = faults(source)
+    assert fault in found
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        '"""Scenes to time."""',
+        'def key():\n    """Returns the key of a step."""',
+        'def _key():\n    """Of the steps."""',
+        'class Key:\n    @property\n    def old(self):\n        """True if the key was used."""',
+        'class _Key:\n    def old(self):\n        """Of the steps."""',
+    ],
+)
+def test_sentences_and_private_names_pass(source):
+    assert faults(source) == []

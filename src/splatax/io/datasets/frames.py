@@ -61,7 +61,10 @@ class Fields:
 
     def find(self, key: str) -> Any:
         """Returns the entry, from the first object that has it; None if none does."""
-        return next((entries[key] for entries in self.entries if entries.get(key) is not None), None)
+        for entries in self.entries:
+            if (value := entries.get(key)) is not None:
+                return value
+        return None
 
     def wrong(self, key: str, expected: str) -> DatasetError:
         """Returns the error about an entry of the wrong kind."""

@@ -13,7 +13,14 @@ from captures import model_of, pinhole, write_capture, write_llff, write_photos,
 from splatax.errors import LONGEST_MESSAGE, DatasetError, InputError, shown
 from splatax.io.datasets import names
 
-OUTSIDE = ["../family/mum.png", "a/../../mum.png", "/abs/dad.png", "..\\mum.png", "C:\\dad.png", "\\\\host\\a.png"]
+OUTSIDE = [
+    "../family/mum.png",
+    "a/../../mum.png",
+    "/abs/dad.png",
+    "..\\mum.png",
+    "C:\\dad.png",
+    "\\\\host\\a.png",
+]
 CONTROL = ["a\x1b[31m.png", "a\nb.png", "a\0b.png", "a\u202eb.png", "a\ud800.png", "\x07.png"]
 
 

@@ -82,7 +82,7 @@ def header_of(path: Path, *, upright: bool = False) -> Header:
     """
     with opened(path) as image:
         header = _fitting(path, image)
-        if upright and image.getexif().get(ORIENTATION) in SIDEWAYS:
+        if upright and _orientation(image) in SIDEWAYS:
             return Header(header.size[::-1], header.divisor)
         return header
 
@@ -197,7 +197,7 @@ def _decoded(path: Path, divisor: int | None) -> tuple[Pixels, int]:
         header = _fitting(path, image) if divisor is None else Header(_divided(image.size, divisor), divisor)
         if header.divisor > 1:
             image.draft(None, header.size)
-        return _eight_bits(path, image), image.getexif().get(ORIENTATION, 1)
+        return _eight_bits(path, image), _orientation(image)
 
 
 def _fitting(path: Path, image: "Image.Image") -> Header:
@@ -268,6 +268,12 @@ def _bits(image: "Image.Image") -> int:
     """Returns the bits of a grey level: 16, or what the tags of a TIFF say."""
     tags = getattr(image, "tag_v2", None)
     return int(tags[BITS_PER_SAMPLE][0]) if tags is not None and BITS_PER_SAMPLE in tags else 16
+
+
+def _orientation(image: "Image.Image") -> int:
+    """Returns EXIF's orientation, from 1 to 8; 1 where it is none. Pillow turns TIFFs by itself."""
+    found = 1 if image.format == "TIFF" else image.getexif().get(ORIENTATION)
+    return found if isinstance(found, int) else 1
 
 
 def _turned(pixels: Pixels, orientation: int) -> Pixels:

@@ -81,9 +81,21 @@ def test_photos_are_turned_as_exif_says(tmp_path, orientation, suffix):
     assert images.size_of(path, upright=True) == expected.shape[1::-1]
 
 
-def test_an_orientation_that_is_no_number_turns_nothing(tmp_path):
+@pytest.mark.parametrize("mode", ["L", "CMYK", "RGB"])
+def test_an_uncompressed_tiff_is_turned_and_not_scrambled(tmp_path, mode):
     exif = Image.Exif()
-    exif[0x0112] = "left"
+    exif[0x0112] = 6
+    rows = np.tile(np.arange(0, 240, 10, dtype=np.uint8)[:, None, None], (1, 32, 3))
+    Image.fromarray(rows).convert(mode).save(tmp_path / "a.tif", exif=exif)
+    pixels = images.read(tmp_path / "a.tif", upright=True)
+    assert pixels.shape == (32, 24, 3)
+    assert images.size_of(tmp_path / "a.tif", upright=True) == (24, 32)
+    assert_array_equal(pixels, np.rot90(rows, -1))
+
+
+def test_an_orientation_that_is_no_number_turns_nothing(tmp_path):
+    text = b"\x01\x12\x00\x02\x00\x00\x00\x02a\x00\x00\x00"  # the entry 0x0112: two bytes of text, "a"
+    exif = b"MM\x00*\x00\x00\x00\x08\x00\x01" + text + bytes(4)
     Image.new("RGB", (6, 4)).save(tmp_path / "a.png", exif=exif)
     assert images.size_of(tmp_path / "a.png", upright=True) == (6, 4)
     assert images.read(tmp_path / "a.png", upright=True).shape == (4, 6, 3)

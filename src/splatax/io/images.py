@@ -184,7 +184,9 @@ def _identified(path: Path, file: BinaryIO, what: str) -> "Image.Image":
         factory, accept = Image.OPEN.get(name, (None, None))
         if factory is not None and (accept is None or accept(prefix) is True):
             file.seek(0)
-            return factory(file, str(path))
+            # Given the name, Pillow maps some files: one that is cut meanwhile would end the process, and an
+            # uncompressed TIFF that is to be turned would be scrambled.
+            return factory(file, "")
     raise DatasetError(
         f"{path}: not a {what} that can be read. Photos are {', '.join(sorted(SUFFIXES))}: convert it to one "
         "of them."

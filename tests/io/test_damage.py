@@ -10,6 +10,7 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pycolmap
 import pytest
 
 import splatax as sx
@@ -18,6 +19,7 @@ from scenes import camera_at, random_gaussians
 from splatax import rasterizers
 from splatax.errors import DatasetError, FormatError, InputError
 from splatax.io.damage import blamed_on
+from splatax.io.datasets.colmap_files import check_whole
 
 SECOND = 2.0  # of the processor, and twice that: shapes are checked in tests
 
@@ -336,3 +338,33 @@ def test_a_format_error_inside_a_capture_is_an_error_of_the_capture(tmp_path):
         blamed_on(tmp_path / "points.ply", "damaged", "Copy it again.", DatasetError),
     ):
         raise FormatError("cut short")
+
+
+@pytest.mark.parametrize("name", ["rigs.bin", "frames.bin"])
+@pytest.mark.parametrize("count", [2**32 - 1, 2**63 - 1])
+def test_rigs_and_frames_that_claim_more_than_they_hold(tmp_path, name, count):
+    """pycolmap would read on for ever."""
+    capture = write_capture(tmp_path / "capture")
+    path = capture / "sparse" / "0" / name
+    path.write_bytes(struct.pack("<Q", count) + path.read_bytes()[8:])
+    refuse(capture, f"{name}: damaged: its .* bytes do not hold what it announces")
+
+
+def test_rigs_of_several_sensors_are_whole(tmp_path):
+    model = pycolmap.Reconstruction()
+    for i in (1, 2, 3):
+        model.add_camera(
+            pycolmap.Camera(model="PINHOLE", width=4, height=4, params=[1, 1, 1, 1], camera_id=i)
+        )
+    rig = pycolmap.Rig()
+    rig.rig_id = 1
+    sensors = [pycolmap.sensor_t(pycolmap.SensorType.CAMERA, i) for i in (1, 2, 3)]
+    rig.add_ref_sensor(sensors[0])
+    rig.add_sensor(sensors[1], None)
+    rig.add_sensor(sensors[2], pycolmap.Rigid3d())
+    model.add_rig(rig)
+    model.write_binary(tmp_path)
+    check_whole(tmp_path)
+    (tmp_path / "rigs.bin").write_bytes((tmp_path / "rigs.bin").read_bytes()[:-1])
+    with pytest.raises(DatasetError, match="damaged"):
+        check_whole(tmp_path)

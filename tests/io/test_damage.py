@@ -77,7 +77,7 @@ def test_a_camera_without_pixels(tmp_path, text):
     refuse(capture, "its camera is 0 x 48 pixels")
 
 
-@pytest.mark.parametrize("focal", [np.nan, np.inf, 0.0, -60.0])
+@pytest.mark.parametrize("focal", [np.nan, np.inf, 0.0, -60.0, 1e300, 1e-300])
 def test_a_focal_length_that_no_lens_has(tmp_path, focal):
     capture = write_capture(tmp_path / "capture")
     path = capture / "sparse" / "0" / "cameras.bin"

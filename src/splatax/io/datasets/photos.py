@@ -135,17 +135,17 @@ def check_camera(path: Path, camera: "pycolmap.Camera", cam_from_world: Float[np
     Raises:
         DatasetError: if the camera has no pixels, no focal length above zero, or a number is not finite.
     """
-    lens = [camera.focal_length_x, camera.focal_length_y, *camera.params]
-    sides = (camera.width, camera.height)
-    if not (
-        all(0 < side <= LARGEST_CAMERA for side in sides) and np.isfinite(lens).all() and min(lens[:2]) > 0
-    ):
+    with np.errstate(over="ignore", under="ignore"):  # cameras are computed with in float32
+        lens = np.array([camera.focal_length_x, camera.focal_length_y, *camera.params], np.float32)
+        pose = cam_from_world.astype(np.float32)
+    sized = all(0 < side <= LARGEST_CAMERA for side in (camera.width, camera.height))
+    if not (sized and np.isfinite(lens).all() and lens[:2].min() > 0):
         values = " ".join(f"{value:.6g}" for value in camera.params)
         raise DatasetError(
             f"{path}: its camera is {camera.width} x {camera.height} pixels with the parameters "
             f"{shown(values)}, which no photo has. Calibrate it again, or correct the file of cameras."
         )
-    if not np.isfinite(cam_from_world).all():
+    if not np.isfinite(pose).all():
         raise DatasetError(
             f"{path}: its pose is not one of finite numbers. Find the poses again, or remove the photo."
         )

@@ -16,7 +16,7 @@ import pytest
 import splatax as sx
 from captures import frame, write_capture, write_llff, write_transforms, zipped
 from scenes import camera_at, random_gaussians
-from splatax import rasterizers
+from splatax import backends
 from splatax.errors import DatasetError, FormatError, InputError
 from splatax.io.damage import blamed_on
 from splatax.io.datasets.colmap_files import check_whole
@@ -308,7 +308,7 @@ def test_messages_about_huge_names_stay_short(tmp_path):
 @pytest.mark.parametrize("backend", ["reference", "xla", "cpu"])
 def test_a_fully_opaque_gaussian_is_drawn_as_one_of_a_large_logit(backend):
     scene, camera = random_gaussians(n=20), camera_at((0.0, 0.0, -4.0), size=(32, 24), focal=30.0)
-    if reason := rasterizers.why_unavailable(backend, np.float32):
+    if reason := backends.why_unavailable(backend, np.float32):
         pytest.skip(reason)
     large = replace(scene, opacity_logits=scene.opacity_logits.at[:5].set(100.0))
     full = replace(scene, opacity_logits=scene.opacity_logits.at[:5].set(jnp.inf))

@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test quick lint sanitize bench page clean
+.PHONY: demo test quick lint fuzz sanitize bench page clean
 
 demo: $(READY)  ## trains on a small capture that it makes itself, and prints where the page of the scene is
 	$(BIN)/splatax demo --out runs/demo --overwrite
@@ -14,6 +14,10 @@ test: $(READY)  ## all tests
 
 quick: $(READY)  ## without the slow ones
 	$(BIN)/python -m pytest --numprocesses auto --dist worksteal -m "not slow"
+
+FUZZ_SECONDS ?= 60
+fuzz: $(READY)  ## feeds damaged files to every reader, a minute for each kind
+	SPLATAX_FUZZ_SECONDS=$(FUZZ_SECONDS) $(BIN)/python -m pytest tests/io/test_fuzz.py
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, Bool, Float
 
 from splatax.math import ellipsoids, harmonics
 from splatax.shapes import check_arrays
@@ -77,3 +78,16 @@ def checked(gaussians: Gaussians) -> Gaussians:
     )
     harmonics.degree_of(sizes["k"])
     return gaussians
+
+
+def broken(gaussians: Gaussians) -> Bool[np.ndarray, " n"]:
+    """Returns which Gaussians are broken: NaN anywhere, or infinite where that means nothing.
+
+    Three infinite numbers do mean something. A log scale of -inf is a flat Gaussian, an opacity logit of
+    +inf a fully opaque one, and an opacity logit of -inf an empty slot.
+    """
+    log_scales, logits = np.asarray(gaussians.log_scales), np.asarray(gaussians.opacity_logits)
+    sound = np.all(np.isfinite(log_scales) | np.isneginf(log_scales), axis=1) & ~np.isnan(logits)
+    for leaf in (gaussians.means, gaussians.quats, gaussians.sh):
+        sound &= np.isfinite(np.asarray(leaf).reshape(len(gaussians), -1)).all(axis=1)
+    return ~sound

@@ -117,6 +117,21 @@ def test_flat_and_opaque_and_unnormalized_gaussians_stay_finite(tmp_path, suffix
     assert np.sort(loaded.opacities)[-1] > 0.99
 
 
+def test_fully_opaque_gaussians_are_kept_and_counted(tmp_path, suffix, recwarn):
+    """SuperSplat writes an opacity of 1 as a logit of +inf. Each format keeps the nearest that it has."""
+    logits = jnp.array([jnp.inf, 0.5, jnp.inf, -jnp.inf, jnp.nan, jnp.inf])
+    original = replace(scene(n=6), opacity_logits=logits)
+    assert sx.save(tmp_path / f"scene{suffix}", original) == 4  # without the empty slot and the broken one
+    assert [str(warning.message).split(": ")[1] for warning in recwarn] == [
+        "left out 1 Gaussians that are not finite"
+    ]
+    loaded = sx.load(tmp_path / f"scene{suffix}")
+    limit = formats.FORMATS[suffix].TOLERANCE
+    assert_allclose(np.sort(loaded.opacities), [jax.nn.sigmoid(0.5), 1, 1, 1], atol=limit.opacities)
+    if limit.opacities == 0:
+        assert np.isposinf(loaded.opacity_logits).sum() == 3
+
+
 def test_harmonics_that_are_all_zero_do_not_tint(tmp_path, suffix):
     """A trainer unlocks bands one by one: a short run has zeros."""
     original = scene()
@@ -190,6 +205,8 @@ def refused_or_read(path, contents):
             gaussians = sx.load(path)
             formats.comments(path)
         except FormatError as error:
+            if isinstance(error.__cause__, MemoryError):
+                pytest.fail(f"it asked for gigabytes: {error}")
             sentence = str(error)
             gaussians = None
     if gaussians is None:

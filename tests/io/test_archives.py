@@ -43,7 +43,7 @@ def test_files_that_would_land_outside(tmp_path, name):
     with zipfile.ZipFile(tmp_path / "capture.zip", "w") as archive:
         archive.writestr("transforms.json", "{}")
         archive.writestr(name, "x")
-    refuse(tmp_path / "capture.zip", "would be written outside its folder")
+    refuse(tmp_path / "capture.zip", "leads out of the capture.s folder")
     assert not list(tmp_path.parent.rglob("escaped*"))
 
 
@@ -52,7 +52,7 @@ def test_links(tmp_path):
     link.external_attr = 0o120777 << 16
     with zipfile.ZipFile(tmp_path / "capture.zip", "w") as archive:
         archive.writestr(link, "/etc")
-    refuse(tmp_path / "capture.zip", "'images' is a link")
+    refuse(tmp_path / "capture.zip", "images is a link")
 
 
 @pytest.fixture

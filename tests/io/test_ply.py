@@ -139,7 +139,7 @@ def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
         (b"ply\nformat binary_little_endian 1.0\nelement vertex 3\n", "its header has no end"),
         (
             b"ply\nformat binary_middle_endian 1.0\nend_header\n",
-            "PLY format 'binary_middle_endian' is unknown",
+            "PLY format binary_middle_endian is unknown",
         ),
         (b"ply\nformat ascii 1.0\nelement vertex many\nend_header\n", "not a valid PLY header"),
         (

@@ -228,7 +228,7 @@ def test_a_path_that_leaves_the_capture(capture, key, name):
         ({"k4": 0.1}, "k4 should be zero"),
         ({"camera_model": "EQUIRECTANGULAR"}, "camera_model should be one of"),
         ({"applied_transform": [[1, 2, 3]]}, "applied_transform should be a 4 x 4 matrix"),
-        ({"ply_file_path": "points.ply"}, "points.ply: no coloured points"),
+        ({"ply_file_path": "points.ply"}, "points.ply: no such file, but transforms.json names it"),
         ({"ply_file_path": "../points.ply"}, "leads out of the capture"),
         ({"test_filenames": ["other.png"]}, "test_filenames names other.png, which no frame has"),
         ({"test_filenames": "all"}, "test_filenames should be a list of photos"),

@@ -123,10 +123,10 @@ class Export:
         options = {"version": self.spz_version} if self.spz_version else {}
         self.out.parent.mkdir(parents=True, exist_ok=True)
         mark = formats.mark(isinstance(model.low_pass, Antialiasing))
-        sx.save(self.out, edited, comments=(mark,), **options)
+        count = sx.save(self.out, edited, comments=(mark,), **options)
         before, after = model.path.stat().st_size, self.out.stat().st_size
         share = f"{before / after:.1f} x smaller" if after <= before else f"{after / before:.1f} x larger"
-        print(f"{self.out}: {len(edited):,} Gaussians, {after / 1e6:.2f} MB ({share})")
+        print(f"{self.out}: {count:,} Gaussians, {after / 1e6:.2f} MB ({share})")
         print(f"loses: {formats.format_of(self.out).LOSES}")
 
     def _selected(self, model: Model, dataset: sx.Dataset | None) -> sx.Gaussians:

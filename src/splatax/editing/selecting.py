@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from splatax import backends
 from splatax.camera import Camera
-from splatax.gaussians import Gaussians
+from splatax.gaussians import Gaussians, broken
 from splatax.math.neighbours import mean_squared_distances
 from splatax.projection import Dilation, LowPass
 from splatax.rendering import render
@@ -74,10 +74,7 @@ def clean(
     Returns:
         The remaining Gaussians, and the number removed for each reason (the first that applied).
     """
-    leaves = [np.asarray(leaf).reshape(len(gaussians), -1) for leaf in jax.tree.leaves(gaussians)]
-    # Flat Gaussians have log scales of -inf, which is sound.
-    finite = np.all([(np.isfinite(leaf) | np.isneginf(leaf)).all(axis=1) for leaf in leaves], axis=0)
-    finite &= np.isfinite(np.asarray(gaussians.means)).all(axis=1)
+    finite = ~broken(gaussians)
     visible = np.asarray(gaussians.opacities) >= min_opacity
     seen = np.ones(len(gaussians), bool) if weights is None else weights >= LEAST_WEIGHT
     kept = np.ones(len(gaussians), bool)

@@ -1,4 +1,4 @@
-"""How photos look: exposure and sharpness, from small versions of them."""
+"""Measures how photos look: exposure and sharpness, from small versions of them."""
 
 import time
 from collections.abc import Iterable
@@ -8,7 +8,9 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from PIL import Image
+
+from splatax.errors import InputError
+from splatax.io import images
 
 LONGEST_SIDE = 1000  # pixels, at which sharpness is judged: what is sharp at this size is sharp enough
 WORKERS = 4
@@ -19,11 +21,11 @@ MAD_TO_SIGMA = 1.4826  # of a normal distribution
 
 @dataclass(frozen=True)
 class Look:
-    """One photo.
+    """How one photo looks.
 
     Attributes:
         luminance: mean, in [0, 1].
-        clipped: share of pixels that are white.
+        clipped: fraction of pixels that are white.
         sharpness: variance of the Laplacian of luminance in [0, 255].
         unreadable: why it could not be decoded; empty if it could.
     """
@@ -39,7 +41,7 @@ def looks_of(paths: dict[str, Path], seconds: float) -> dict[str, Look]:
 
     Args:
         paths: by name.
-        seconds: that may be spent.
+        seconds: how long to look.
     """
     deadline = time.monotonic() + seconds
 
@@ -53,22 +55,18 @@ def looks_of(paths: dict[str, Path], seconds: float) -> dict[str, Look]:
 
 
 def spread(names: list[str]) -> Iterable[str]:
-    """All, in an order in which any beginning is spread evenly: every 16th, then those between."""
+    """Returns all names in an order whose beginnings are spread evenly: every 16th, then those between."""
     for step_and_start in ((16, 0), (16, 8), (8, 4), (4, 2), (2, 1)):
         step, start = step_and_start
         yield from names[start::step]
 
 
 def look(path: Path) -> Look:
-    """One photo; a JPEG is decoded at no more than the size that is needed."""
+    """Looks at one photo. A JPEG is decoded no larger than needed."""
     try:
-        with Image.open(path) as photo:
-            photo.draft("RGB", (LONGEST_SIDE, LONGEST_SIDE))
-            image = photo.convert("RGBA" if photo.has_transparency_data else "RGB")
-            image.thumbnail((LONGEST_SIDE, LONGEST_SIDE), Image.Resampling.BOX)
-            pixels = np.asarray(image, np.float32)
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        return Look(unreadable=str(error) or type(error).__name__)
+        pixels = images.glance(path, LONGEST_SIDE).astype(np.float32)
+    except (InputError, OSError) as error:
+        return Look(unreadable=str(error))
     luminance = pixels[..., :3] @ np.array(LUMINANCE, np.float32)
     opaque = pixels[..., 3] > 0 if pixels.shape[2] == 4 else np.ones(luminance.shape, bool)
     if not opaque.any() or min(luminance.shape) < 3:
@@ -82,18 +80,18 @@ def look(path: Path) -> Look:
 
 
 def sharpness(luminance: Float[np.ndarray, "h w"]) -> float:
-    """Variance of the Laplacian (Pech-Pacheco et al. 2000)."""
+    """Returns the variance of the Laplacian (Pech-Pacheco et al. 2000)."""
     g = luminance
     laplacian = 4 * g[1:-1, 1:-1] - g[:-2, 1:-1] - g[2:, 1:-1] - g[1:-1, :-2] - g[1:-1, 2:]
     return float(laplacian.var())
 
 
 def robust_scores(values: Float[np.ndarray, " n"], floor: float) -> Float[np.ndarray, " n"]:
-    """Distances from the median in standard deviations, as the median deviation tells them.
+    """Returns distances from the median in standard deviations, which the median deviation estimates.
 
     Args:
         values: of any unit.
-        floor: the least standard deviation, so that equal photos have no outliers.
+        floor: lower bound of the standard deviation, so that equal photos have no outliers.
     """
     middle = np.median(values)
     sigma = max(MAD_TO_SIGMA * float(np.median(np.abs(values - middle))), floor)

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import UInt8
-from PIL import Image
 
 from splatax.errors import InputError
 from splatax.io import images
@@ -102,6 +101,8 @@ def _webm(path: Path, size: tuple[int, int], fps: int) -> AbstractContextManager
 
 @contextmanager
 def _gif(path: Path, size: tuple[int, int], fps: int) -> Iterator[Add]:
+    from PIL import Image
+
     frames: list[Image.Image] = []
     yield lambda picture: frames.append(
         Image.fromarray(picture).quantize(256, dither=Image.Dither.FLOYDSTEINBERG)

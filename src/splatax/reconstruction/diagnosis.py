@@ -3,10 +3,12 @@
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-
-import pycolmap
+from typing import TYPE_CHECKING
 
 from splatax.reconstruction.mapping import opened
+
+if TYPE_CHECKING:
+    import pycolmap
 
 FEW_FEATURES = 200
 FEW_MATCHES = 15  # that agree with one motion: what COLMAP asks of a pair
@@ -24,8 +26,10 @@ ADVICE = {
 }
 
 
-def reasons(path: Path, parts: Sequence[pycolmap.Reconstruction]) -> dict[str, str]:
+def reasons(path: Path, parts: "Sequence[pycolmap.Reconstruction]") -> dict[str, str]:
     """Of each photo in the database that is not in the largest part, why; by name."""
+    import pycolmap
+
     placed = set(parts[0].reg_image_ids()) if parts else set()
     elsewhere = {image for part in parts[1:] for image in part.reg_image_ids()}
     with opened(path) as database:

@@ -9,10 +9,12 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-
-import pycolmap
+from typing import TYPE_CHECKING
 
 from splatax.reconstruction.pairs import Pairing
+
+if TYPE_CHECKING:
+    import pycolmap
 
 PHOTOS_AT_ONCE, PAIRS_AT_ONCE = 16, 128
 FEWEST_IN_MODEL = 3  # photos
@@ -46,7 +48,9 @@ class Entry:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[pycolmap.Database]:
+def opened(path: Path) -> "Iterator[pycolmap.Database]":
+    import pycolmap
+
     database = pycolmap.Database.open(path)
     try:
         yield database
@@ -54,9 +58,11 @@ def opened(path: Path) -> Iterator[pycolmap.Database]:
         database.close()
 
 
-def register(database: pycolmap.Database, entries: Sequence[Entry]) -> None:
+def register(database: "pycolmap.Database", entries: Sequence[Entry]) -> None:
     """Writes photos and their cameras to an empty database, in order, so that their numbers do not
     depend on which thread is first. Photos of one device and size share a camera."""
+    import pycolmap
+
     devices: dict[tuple[str, tuple[int, int]], list[Entry]] = {}
     for entry in entries:
         devices.setdefault((entry.device, entry.size), []).append(entry)
@@ -73,8 +79,10 @@ def register(database: pycolmap.Database, entries: Sequence[Entry]) -> None:
             database.write_frame(frame)
 
 
-def write_camera(database: pycolmap.Database, group: Sequence[Entry]) -> tuple[int, int]:
+def write_camera(database: "pycolmap.Database", group: Sequence[Entry]) -> tuple[int, int]:
     """(camera, rig) of photos from one device, with EXIF's focal length to start from."""
+    import pycolmap
+
     (width, height), focal = group[0].size, group[0].focal
     model = "OPENCV" if len(group) > MANY else "SIMPLE_RADIAL"
     start = focal or UNKNOWN_FOCAL * max(width, height)
@@ -88,6 +96,8 @@ def write_camera(database: pycolmap.Database, group: Sequence[Entry]) -> tuple[i
 
 def extract(path: Path, photos: Path, features: Features, watch: Callable[[int, int], None]) -> None:
     """SIFT features (Lowe 2004) of the photos that have none yet, on the CPU."""
+    import pycolmap
+
     options = pycolmap.FeatureExtractionOptions()
     options.max_image_size = features.longest_side
     options.sift.max_num_features = features.most
@@ -107,6 +117,8 @@ def extract(path: Path, photos: Path, features: Features, watch: Callable[[int, 
 def match(path: Path, pairing: Pairing, seed: int, watch: Callable[[int, int], None]) -> int:
     """Matches that agree with one motion, for the pairs that have not been looked at yet: how many those
     were."""
+    import pycolmap
+
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = seed
     with opened(path) as database:
@@ -130,13 +142,15 @@ def match(path: Path, pairing: Pairing, seed: int, watch: Callable[[int, int], N
 
 def place(
     path: Path, photos: Path, out: Path, seed: int, watch: Callable[[int, int], None]
-) -> list[pycolmap.Reconstruction]:
+) -> "list[pycolmap.Reconstruction]":
     """Poses and points by incremental structure from motion (Schönberger and Frahm 2016), or those that
     were found before: they are in the folder once all are.
 
     Returns:
         Parts that nothing connects, the one of most photos first; empty if no two photos fit together.
     """
+    import pycolmap
+
     with opened(path) as database:
         count = database.num_images()
     if out.exists():
@@ -168,5 +182,5 @@ def place(
     return _largest_first(parts.values())
 
 
-def _largest_first(parts: Iterable[pycolmap.Reconstruction]) -> list[pycolmap.Reconstruction]:
+def _largest_first(parts: "Iterable[pycolmap.Reconstruction]") -> "list[pycolmap.Reconstruction]":
     return sorted(parts, key=lambda part: -part.num_reg_images())

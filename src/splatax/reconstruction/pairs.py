@@ -2,10 +2,13 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pycolmap
 from jaxtyping import Float
+
+if TYPE_CHECKING:
+    import pycolmap
 
 Pair = tuple[int, int]  # positions of two photos in the order of their names, the smaller first
 
@@ -19,7 +22,7 @@ BLOCK = 64  # photos compared with one at a time
 class Exhaustive:
     """Every photo with every other."""
 
-    def pairs(self, database: pycolmap.Database, ids: list[int]) -> list[Pair]:
+    def pairs(self, database: "pycolmap.Database", ids: list[int]) -> list[Pair]:
         return [(i, j) for i in range(len(ids)) for j in range(i + 1, len(ids))]
 
 
@@ -30,7 +33,7 @@ class Similar:
     neighbours: int = 30
     following: int = 3
 
-    def pairs(self, database: pycolmap.Database, ids: list[int]) -> list[Pair]:
+    def pairs(self, database: "pycolmap.Database", ids: list[int]) -> list[Pair]:
         return sorted(
             alike(database, ids, self.neighbours) | following(len(ids), range(1, self.following + 1))
         )
@@ -44,7 +47,7 @@ class Sequential:
     doublings: int = 5  # distances of twice the overlap, four times, ...
     neighbours: int = 5
 
-    def pairs(self, database: pycolmap.Database, ids: list[int]) -> list[Pair]:
+    def pairs(self, database: "pycolmap.Database", ids: list[int]) -> list[Pair]:
         steps = [*range(1, self.overlap + 1), *(self.overlap << i for i in range(1, self.doublings + 1))]
         return sorted(alike(database, ids, self.neighbours) | following(len(ids), steps))
 
@@ -57,7 +60,7 @@ def following(count: int, steps: Iterable[int]) -> set[Pair]:
     return {(i, i + step) for step in steps for i in range(count - step)}
 
 
-def alike(database: pycolmap.Database, ids: list[int], neighbours: int) -> set[Pair]:
+def alike(database: "pycolmap.Database", ids: list[int], neighbours: int) -> set[Pair]:
     """Pairs of photos of which one is among those most like the other."""
     features = [largest(database, image) for image in ids]
     counts = np.zeros((len(ids), len(ids)))
@@ -73,7 +76,7 @@ def alike(database: pycolmap.Database, ids: list[int], neighbours: int) -> set[P
     return found
 
 
-def largest(database: pycolmap.Database, image: int) -> Float[np.ndarray, "k 128"]:
+def largest(database: "pycolmap.Database", image: int) -> Float[np.ndarray, "k 128"]:
     """Unit descriptors of the largest features of a photo; zeros where it has fewer."""
     chosen = np.zeros((FEATURES, 128), np.float32)
     if database.exists_descriptors(image):

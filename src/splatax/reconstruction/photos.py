@@ -1,14 +1,14 @@
-"""The photos to reconstruct from: found, read upright, and what their EXIF says of the lens."""
+"""Finds the photos to reconstruct from, reads them upright, and reads from EXIF what took them."""
 
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from splatax.dataset import Pixels
-from splatax.errors import DatasetError, InputError
+from splatax.errors import DatasetError, InputError, shown
 from splatax.io import images
+from splatax.io.datasets import names
 
 HEIF = {".heic", ".heif"}
 LOSSLESS = {".png", ".bmp", ".tif", ".tiff"}
@@ -39,7 +39,7 @@ class Photo:
 
 
 def photos_in(folder: Path) -> tuple[list[Photo], dict[str, str]]:
-    """(photos by name, why others cannot be used by name).
+    """Returns the photos in a folder by name, and why others cannot be used, by name.
 
     Raises:
         InputError: if there is a HEIC photo, and nothing to read it with.
@@ -51,13 +51,14 @@ def photos_in(folder: Path) -> tuple[list[Photo], dict[str, str]]:
     for path in paths:
         name = path.relative_to(folder).as_posix()
         try:
-            photos.append(photo_of(name_in_capture(name), path))
+            photos.append(photo_of(name_in_capture(names.checked(name, folder)), path))
         except DatasetError as error:
-            damaged[name] = f"cannot be read: {error}"
+            damaged[shown(name)] = f"cannot be read: {error}"
     return photos, damaged
 
 
 def is_photo(path: Path) -> bool:
+    """Returns whether the name is that of a photo, HEIC included."""
     return images.is_image(path) or (path.suffix.lower() in HEIF and not path.name.startswith("."))
 
 
@@ -77,7 +78,7 @@ def learn_heif(example: Path) -> None:
 
 
 def name_in_capture(name: str) -> str:
-    """The name that the undistorted photo is saved under."""
+    """Returns the name under which the undistorted photo is saved."""
     suffix = Path(name).suffix.lower()
     if suffix in {".jpg", ".jpeg", ".png"}:
         return name
@@ -88,22 +89,19 @@ def photo_of(name: str, path: Path) -> Photo:
     """Measures a photo by its header.
 
     Raises:
-        DatasetError: if it is none, or damaged.
+        DatasetError: if it is not a photo, or damaged.
     """
-    try:
-        size = images.size_of(path, upright=True)
-        with Image.open(path) as image:
-            exif = image.getexif()  # of a PNG it may be behind the pixels
-            detail = exif.get_ifd(EXIF)
-    except (OSError, SyntaxError) as error:
-        raise DatasetError(f"{path}: the photo is damaged ({error}). Restore it from the camera.") from error
+    size = images.size_of(path, upright=True)
+    with images.opened(path) as image:
+        exif = image.getexif()  # of a PNG it may be behind the pixels
+        detail = exif.get_ifd(EXIF)
     focal = focal_of({key: number(value) for key, value in detail.items()}, size)
     parts = (exif.get(MAKE), exif.get(MODEL), detail.get(LENS), focal, size)
     return Photo(name, path, size, focal, " ".join(str(part) for part in parts))
 
 
 def number(value: object) -> float:
-    """An EXIF value, or 0 where it is no positive number."""
+    """Returns an EXIF value, or 0 where it is not a positive number."""
     try:
         found = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, ZeroDivisionError):
@@ -112,7 +110,7 @@ def number(value: object) -> float:
 
 
 def focal_of(exif: dict[int, float], size: tuple[int, int]) -> float | None:
-    """Focal length in pixels, from its 35 mm equivalent or the pitch of the sensor's pixels."""
+    """Returns the focal length in pixels, from its 35 mm equivalent or the pitch of the sensor's pixels."""
     if equivalent := exif.get(FOCAL_35MM, 0.0):
         return equivalent * float(np.hypot(*size)) / DIAGONAL_35MM
     unit = MM_PER_UNIT.get(int(exif.get(PLANE_UNIT, 2.0)), 0.0)
@@ -124,7 +122,7 @@ def focal_of(exif: dict[int, float], size: tuple[int, int]) -> float | None:
 
 
 def read(photo: Photo) -> Pixels:
-    """Its pixels, upright.
+    """Decodes a photo, upright.
 
     Raises:
         DatasetError: if it is damaged.
@@ -135,6 +133,8 @@ def read(photo: Photo) -> Pixels:
 def save(path: Path, pixels: Pixels) -> None:
     """Writes a PNG, or a JPEG that looks the same as the original."""
     path.parent.mkdir(parents=True, exist_ok=True)
+    from PIL import Image
+
     image = Image.fromarray(pixels)
     if path.suffix.lower() == ".png":
         image.save(path)

@@ -6,8 +6,6 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 
-import pycolmap
-
 from splatax.errors import DatasetError, InputError
 from splatax.io.datasets.photos import counted
 from splatax.reconstruction import diagnosis, mapping
@@ -78,6 +76,8 @@ def reconstruct(
         InputError: if the folder holds something else, or a package to read photos or video is missing.
         DatasetError: if there are no photos, or too few of them fit together.
     """
+    import pycolmap
+
     pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL.value
     work = out / WORK
     refuse_overlap(source, out)

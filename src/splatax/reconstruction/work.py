@@ -6,6 +6,7 @@ import shutil
 from pathlib import Path
 
 from splatax.errors import DatasetError, InputError
+from splatax.io.damage import blamed_on
 from splatax.io.files import write_whole
 from splatax.reconstruction.photos import is_photo
 from splatax.reconstruction.video import is_video
@@ -77,7 +78,11 @@ def prepare(work: Path, settings: dict) -> None:
         InputError: if work has begun there for something else.
     """
     path = work / "settings.json"
-    earlier = json.loads(path.read_text()) if path.exists() else {}
+    earlier = {}
+    if path.exists():
+        way_out = "Choose another folder, or replace it: --overwrite."
+        with blamed_on(path, "damaged, so what was begun cannot be continued", way_out, InputError):
+            earlier = dict(json.loads(path.read_text()))
     if earlier != settings:
         changed = {name for name in settings if earlier.get(name) != settings[name]}
         if changed - {"photos"} and any((work / name).exists() for name in BEGUN):

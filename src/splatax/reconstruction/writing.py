@@ -2,17 +2,20 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pycolmap
 
 from splatax.io.datasets.photos import LARGEST_SIDE
 from splatax.io.datasets.undistortion import undistortion
 from splatax.reconstruction.photos import Photo, read, save
 
+if TYPE_CHECKING:
+    import pycolmap
+
 
 def write_capture(
-    model: pycolmap.Reconstruction, photos: dict[str, Photo], out: Path, watch: Callable[[int, int], None]
+    model: "pycolmap.Reconstruction", photos: dict[str, Photo], out: Path, watch: Callable[[int, int], None]
 ) -> None:
     """Writes OUT/images and OUT/sparse/0.
 
@@ -22,6 +25,8 @@ def write_capture(
         out: folder of the capture.
         watch: is told (photos written, how many there are).
     """
+    import pycolmap
+
     registered = [model.image(i) for i in sorted(model.reg_image_ids())]
     lenses, pinholes, straighteners = {}, {}, {}
     for image in registered:

@@ -1,10 +1,14 @@
-"""Captures on disk -> `Dataset`. A loader is a module with `recognise(path)` and `load(path, ...)`."""
+"""Reads captures. A loader is a module with `recognise(path)` and `load(path, ...)`.
+
+A loader may raise anything on a damaged capture: `load_dataset` turns it into a `DatasetError`.
+"""
 
 from pathlib import Path
 
 from splatax.dataset import Dataset
-from splatax.errors import DatasetError
+from splatax.errors import DatasetError, shown
 from splatax.io import images
+from splatax.io.damage import blamed_on
 from splatax.io.datasets import archives, colmap, llff, transforms
 from splatax.io.datasets.photos import counted
 
@@ -21,12 +25,13 @@ def load_dataset(path: str | Path, *, downscale: int | None = None) -> Dataset:
             side to 1600 pixels or fewer.
 
     Raises:
-        DatasetError: if it is no capture, or parts of it are missing or damaged.
+        DatasetError: if it is not a capture, or parts of it are missing or damaged, or lie outside of it.
     """
     folder = folder_of(Path(path))
-    for loader in DATASETS:
-        if loader.recognise(folder):
-            return loader.load(folder, downscale=downscale)
+    with blamed_on(Path(path), "not a capture that can be read", "Make or copy it again.", DatasetError):
+        for loader in DATASETS:
+            if loader.recognise(folder):
+                return loader.load(folder, downscale=downscale)
     looked_for = "; ".join(loader.LOOKED_FOR for loader in DATASETS)
     raise DatasetError(
         f"{path}: not a capture that splatax knows. It looked for {looked_for}. It found {contents(folder)}."
@@ -34,14 +39,14 @@ def load_dataset(path: str | Path, *, downscale: int | None = None) -> Dataset:
 
 
 def is_capture(path: Path) -> bool:
-    """Whether there is a capture, whose cameras are known, or a zip file of which that is hoped."""
+    """Returns whether there is a capture, whose cameras are known, or a zip file, which may hold one."""
     if path.is_file():
         return path.suffix.lower() == ".zip"
     return path.is_dir() and any(loader.recognise(path) for loader in DATASETS)
 
 
 def folder_of(path: Path) -> Path:
-    """The folder of a capture that may be in a zip file.
+    """Returns the folder of a capture, which may be in a zip file.
 
     Raises:
         DatasetError: if there is none.
@@ -56,8 +61,12 @@ def folder_of(path: Path) -> Path:
 
 
 def contents(folder: Path) -> str:
-    """What is in a folder that is no capture, and what to do with that."""
+    """Describes what is in a folder that is not a capture, and what to do with that."""
     if found := sum(images.is_image(photo) for photo in folder.rglob("*")):
         return f"{counted(found)} without poses: find them with splatax reconstruct"
     names = sorted(path.name for path in folder.iterdir())
-    return f"{', '.join(names[:5])}{' and more' if len(names) > 5 else ''}" if names else "an empty folder"
+    return (
+        f"{', '.join(map(shown, names[:5]))}{' and more' if len(names) > 5 else ''}"
+        if names
+        else "an empty folder"
+    )

@@ -4,10 +4,11 @@ import shutil
 import stat
 import tempfile
 import zipfile
-import zlib
 from pathlib import Path, PurePosixPath
 
-from splatax.errors import DatasetError
+from splatax.errors import DatasetError, shown
+from splatax.io.damage import blamed_on
+from splatax.io.datasets import names
 
 LARGEST = 32 << 30  # bytes, of all files together
 MOST_FILES = 200_000
@@ -20,7 +21,7 @@ _unpacked: dict[tuple[Path, int, int], tempfile.TemporaryDirectory[str]] = {}  #
 
 
 def unpacked(path: Path) -> Path:
-    """The folder of an archive's capture, unpacked once a process.
+    """Returns the folder of an archive's capture, which is unpacked once a process.
 
     Raises:
         DatasetError: if it is no zip file, is damaged or encrypted, would write outside its folder, or
@@ -40,61 +41,69 @@ def unpacked(path: Path) -> Path:
 
 
 def innermost(folder: Path) -> Path:
-    """Past folders that hold one folder and nothing else."""
+    """Returns the folder inside folders that hold one folder and nothing else."""
     while len(inside := list(folder.iterdir())) == 1 and inside[0].is_dir():
         folder = inside[0]
     return folder
 
 
 def unpack(path: Path, folder: Path) -> None:
-    """Writes the files of an archive, none of which may leave the folder, and no more than is allowed."""
+    """Writes the files of an archive to a folder: none outside of it, and no more than is allowed.
+
+    Raises:
+        DatasetError: as `unpacked`.
+    """
     folder.mkdir()
     left = limit = allowance(path, folder)
-    try:
-        with zipfile.ZipFile(path) as archive:
-            entries = checked(path, archive, limit)
-            for entry in entries:
-                target = folder / PurePosixPath(entry.filename)
+    with (
+        blamed_on(path, "not a zip file that can be unpacked", "Make it again.", DatasetError),
+        zipfile.ZipFile(path) as archive,
+    ):
+        for name, entry in checked(path, archive, limit).items():
+            target = folder / name
+            try:
                 target.parent.mkdir(parents=True, exist_ok=True)
-                with archive.open(entry) as source, target.open("xb") as sink:
-                    # Counted as they come: the sizes that an archive announces may be lies.
-                    while chunk := source.read(CHUNK):
-                        left -= len(chunk)
-                        if left < 0:
-                            raise too_large(path, limit)
-                        sink.write(chunk)
-    except (zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError, zlib.error) as error:
-        raise DatasetError(
-            f"{path}: not a zip file that can be unpacked ({error}). Make it again."
-        ) from error
-    except (FileExistsError, NotADirectoryError, IsADirectoryError) as error:
-        raise DatasetError(f"{path}: two of its files have one name ({error.filename}).") from error
+                sink = target.open("xb")
+            except (FileExistsError, NotADirectoryError, IsADirectoryError) as error:
+                raise DatasetError(f"{path}: two of its files have one name ({shown(name)}).") from error
+            with sink, archive.open(entry) as source:
+                # Counted as they come: the sizes that an archive announces may be lies.
+                while chunk := source.read(CHUNK):
+                    left -= len(chunk)
+                    if left < 0:
+                        raise too_large(path, limit)
+                    sink.write(chunk)
 
 
 def allowance(path: Path, folder: Path) -> int:
-    """Bytes that the archive may unpack to: what is plausible, and leaves half of the free disk."""
+    """Returns the bytes that the archive may unpack to: a plausible number, and half of the free disk."""
     plausible = max(MOST_EXPANSION * path.stat().st_size, SMALLEST_LIMIT)
     return min(LARGEST, plausible, shutil.disk_usage(folder).free // 2)
 
 
-def checked(path: Path, archive: zipfile.ZipFile, limit: int) -> list[zipfile.ZipInfo]:
-    """The files to unpack."""
-    entries = [entry for entry in archive.infolist() if not entry.is_dir()]
-    entries = [entry for entry in entries if not LITTER.intersection(PurePosixPath(entry.filename).parts)]
-    for entry in entries:
-        name = PurePosixPath(entry.filename.replace("\\", "/"))
-        if name.is_absolute() or ".." in name.parts or ":" in entry.filename or "\\" in entry.filename:
-            raise DatasetError(
-                f"{path}: {entry.filename!r} would be written outside its folder: not unpacked."
-            )
+def checked(path: Path, archive: zipfile.ZipFile, limit: int) -> dict[str, zipfile.ZipInfo]:
+    """Returns the files to unpack, by the names that they get.
+
+    Raises:
+        DatasetError: if one would land elsewhere, is a link, has the name of another, or they are too many.
+    """
+    files: dict[str, zipfile.ZipInfo] = {}
+    for entry in archive.infolist():
+        if entry.is_dir() or LITTER.intersection(PurePosixPath(entry.filename).parts):
+            continue
+        name = names.checked(entry.filename, path)
         if stat.S_ISLNK(entry.external_attr >> 16):
-            raise DatasetError(f"{path}: {entry.filename!r} is a link. Zip the files themselves.")
-    if len(entries) > MOST_FILES or sum(entry.file_size for entry in entries) > limit:
+            raise DatasetError(f"{path}: {shown(name)} is a link. Zip the files themselves.")
+        if name in files:
+            raise DatasetError(f"{path}: two of its files have one name ({shown(name)}). Make it again.")
+        files[name] = entry
+    if len(files) > MOST_FILES or sum(entry.file_size for entry in files.values()) > limit:
         raise too_large(path, limit)
-    return entries
+    return files
 
 
 def too_large(path: Path, limit: int) -> DatasetError:
+    """Returns the error about an archive that would fill the disk."""
     return DatasetError(
         f"{path}: it unpacks to more than {limit / 1e9:.1f} GB or {MOST_FILES:,} files, too much for the "
         "disk or for what it is. If that is right, unpack it yourself and give the folder."

@@ -12,9 +12,11 @@ from splatax.errors import DatasetError
 # Parameters of each camera model, by COLMAP's number.
 CAMERA_PARAMETERS = {0: 3, 1: 4, 2: 4, 3: 5, 4: 8, 5: 8, 6: 12, 7: 5, 8: 4, 9: 5, 10: 12, 11: 16}
 
+POSE = 56  # bytes: a quaternion and a translation
+
 
 def check_whole(model: Path) -> None:
-    """Checks `cameras.bin`, `images.bin` and `points3D.bin` of a model, where present.
+    """Checks the binary files of a model that are present; `rigs` and `frames` are of newer versions.
 
     Raises:
         DatasetError: if one of them is shorter or longer than its own counts say.
@@ -56,4 +58,24 @@ def _end_of_point(contents: bytes, start: int) -> int:
     return start + 51 + 8 * track
 
 
-ENDS = {"cameras": _end_of_camera, "images": _end_of_image, "points3D": _end_of_point}
+def _end_of_rig(contents: bytes, start: int) -> int:
+    (sensors,) = struct.unpack_from("<I", contents, start + 4)
+    end = start + 8 + (8 if sensors else 0)  # the sensor of reference, which has no pose of its own
+    for _ in range(sensors - 1):
+        (has_pose,) = struct.unpack_from("<8xB", contents, end)
+        end += 9 + (POSE if has_pose else 0)
+    return end
+
+
+def _end_of_frame(contents: bytes, start: int) -> int:
+    (images,) = struct.unpack_from("<I", contents, start + 8 + POSE)
+    return start + 12 + POSE + 16 * images
+
+
+ENDS = {
+    "rigs": _end_of_rig,
+    "cameras": _end_of_camera,
+    "frames": _end_of_frame,
+    "images": _end_of_image,
+    "points3D": _end_of_point,
+}

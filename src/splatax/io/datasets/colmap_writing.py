@@ -2,12 +2,15 @@
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pycolmap
 
 from splatax.camera import Camera
 from splatax.dataset import PointCloud, View
+
+if TYPE_CHECKING:
+    import pycolmap
 
 PLACE = Path("sparse/0")  # of a model, in the folder of a capture
 
@@ -23,6 +26,8 @@ def save(folder: Path, views: Iterable[View], points: PointCloud) -> None:
         views: whose cameras to write, as pinholes.
         points: with 8-bit colours in the file.
     """
+    import pycolmap
+
     model = pycolmap.Reconstruction()
     cameras: dict[tuple[float, ...], int] = {}
     for number, view in enumerate(views, start=1):
@@ -41,13 +46,17 @@ def save(folder: Path, views: Iterable[View], points: PointCloud) -> None:
     model.write_binary(place)
 
 
-def _pinhole(camera: Camera) -> pycolmap.Camera:
+def _pinhole(camera: Camera) -> "pycolmap.Camera":
+    import pycolmap
+
     numbers = [float(number) for number in (camera.fx, camera.fy, camera.cx, camera.cy)]
     return pycolmap.Camera(model="PINHOLE", width=camera.width, height=camera.height, params=numbers)
 
 
-def _pose(camera: Camera) -> pycolmap.Rigid3d:
-    """The nearest that is exactly rigid: products of float32 matrices are not quite."""
+def _pose(camera: Camera) -> "pycolmap.Rigid3d":
+    """Returns the nearest pose that is exactly rigid: products of float32 matrices are not quite."""
+    import pycolmap
+
     left, _, right = np.linalg.svd(np.asarray(camera.rotation, np.float64))
     translation = np.asarray(camera.translation, np.float64)
     return pycolmap.Rigid3d(pycolmap.Rotation3d(left @ right), translation)

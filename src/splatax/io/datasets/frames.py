@@ -6,24 +6,30 @@ format: https://docs.nerf.studio/quickstart/data_conventions.html
 
 import json
 import math
-from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pycolmap
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from splatax.errors import DatasetError
-from splatax.io import images
+from splatax.errors import DatasetError, shown
+from splatax.io.damage import blamed_on
+from splatax.io.datasets import names
+from splatax.io.datasets.photos import LARGEST_CAMERA
+from splatax.io.images import SUFFIXES
+
+if TYPE_CHECKING:
+    import pycolmap
 
 FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # y up, z back -> y down, z forward
 RIGID_TOLERANCE = 1e-2  # of R R^T against the identity: what a printed matrix may be off
 PERSPECTIVE = {"PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "RADIAL", "SIMPLE_RADIAL"}  # all part of OPENCV
 FISHEYE = "OPENCV_FISHEYE"
 DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
+MOST_FRAMES = 200_000  # as many as an archive may hold files; more would be no capture, and take minutes
 
 
 @dataclass(frozen=True)
@@ -33,15 +39,15 @@ class Frame:
     Attributes:
         name: as the file has it, with slashes, relative to the file's folder.
         path: of the photo, which may be missing.
-        mask: of the mask, if it has one.
-        lens: intrinsics, given the photo's size in case the file does not tell one.
-        cam_from_world: with x right, y down, z forward.
+        mask: path of the mask, if it has one.
+        lens: returns the intrinsics, given the photo's size in case the file does not tell one.
+        cam_from_world: pose, with x right, y down, z forward.
     """
 
     name: str
     path: Path
     mask: Path | None
-    lens: Callable[[tuple[int, int]], pycolmap.Camera]
+    lens: "Callable[[tuple[int, int]], pycolmap.Camera]"
     cam_from_world: Float[np.ndarray, "3 4"]
 
 
@@ -54,132 +60,198 @@ class Fields:
         self.entries = entries
 
     def find(self, key: str) -> Any:
-        return next((entries[key] for entries in self.entries if entries.get(key) is not None), None)
+        """Returns the entry, from the first object that has it; None if none does."""
+        for entries in self.entries:
+            if (value := entries.get(key)) is not None:
+                return value
+        return None
 
     def wrong(self, key: str, expected: str) -> DatasetError:
+        """Returns the error about an entry of the wrong kind."""
         return DatasetError(
             f"{self.where}: {key} should be {expected}, not {shortened(self.find(key))}. "
             "Export the capture again, or correct the file."
         )
 
     def text(self, key: str) -> str | None:
+        """Returns the entry as text that is not empty."""
         value = self.find(key)
-        if value is not None and (not isinstance(value, str) or not value or "\0" in value):
+        if value is not None and (not isinstance(value, str) or not value):
             raise self.wrong(key, "text")
         return value
 
     def number(self, key: str) -> float | None:
+        """Returns the entry as a finite number."""
         value = self.find(key)
         if value is None:
             return None
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        number = math.inf
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            with suppress(OverflowError):  # whole numbers of JSON have any length
+                number = float(value)
+        if not math.isfinite(number):
             raise self.wrong(key, "a finite number")
-        return float(value)
+        return number
 
     def positive(self, key: str) -> float | None:
+        """Returns the entry as a finite number above zero."""
         value = self.number(key)
         if value is not None and value <= 0:
             raise self.wrong(key, "a number above zero")
         return value
 
+    def side(self, key: str) -> float | None:
+        """Returns the entry as a number of pixels that a photo may have."""
+        value = self.positive(key)
+        if value is not None and not 0.5 < value <= LARGEST_CAMERA:
+            raise self.wrong(key, "a number of pixels")
+        return value
+
     def rigid(self, key: str) -> Float[np.ndarray, "4 4"] | None:
-        """A rotation and a translation, 3 x 4 or 4 x 4."""
+        """Returns the entry, 3 x 4 or 4 x 4, as the nearest exact rotation and a translation."""
         value = self.find(key)
         if value is None:
             return None
-        try:
-            matrix = np.array(value, np.float64)
-        except (TypeError, ValueError):
-            matrix = np.zeros(0)
-        if matrix.shape not in ((3, 4), (4, 4)) or not np.isfinite(matrix).all():
+        matrix = matrices_of([value])
+        if matrix is None or not np.isfinite(matrix).all():
             raise self.wrong(key, "a 4 x 4 matrix of finite numbers")
-        rotation = matrix[:3, :3]
-        off = np.abs(rotation @ rotation.T - np.eye(3)).max()
-        if off > RIGID_TOLERANCE or np.linalg.det(rotation) < 0:
+        poses, good = nearest_rigid(matrix)
+        if not good.all():
             raise self.wrong(key, "a rotation and a translation, without scale or mirroring")
-        left, _, right = np.linalg.svd(rotation)  # the nearest rotation
-        return np.vstack([np.column_stack([left @ right, matrix[:3, 3]]), [0, 0, 0, 1]])
+        return poses[0]
+
+
+def matrices_of(values: list[Any]) -> Float[np.ndarray, "n r 4"] | None:
+    """Returns matrices of JSON as one array, 3 x 4 or 4 x 4 each; None if they are anything else."""
+    try:
+        matrices = np.array(values, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return matrices if matrices.ndim == 3 and matrices.shape[1:] in ((3, 4), (4, 4)) else None
+
+
+def nearest_rigid(
+    matrices: Float[np.ndarray, "n r 4"],
+) -> tuple[Float[np.ndarray, "n 4 4"], Bool[np.ndarray, " n"]]:
+    """Returns the nearest exact rotations with their translations, and which matrices are near to one."""
+    good = np.isfinite(matrices).all((1, 2))
+    matrices = np.where(good[:, None, None], matrices, np.eye(4)[: matrices.shape[1]])
+    rotations = matrices[:, :3, :3]
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max((1, 2), initial=0)
+        good &= (off <= RIGID_TOLERANCE) & (np.linalg.det(rotations) > 0)
+    left, _, right = np.linalg.svd(np.where(good[:, None, None], rotations, np.eye(3)))
+    poses = np.tile(np.eye(4), (len(matrices), 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = left @ right, matrices[:, :3, 3]
+    return poses, good
 
 
 def shortened(value: Any) -> str:
-    return text if len(text := repr(value)) <= 60 else text[:57] + "..."
+    """Returns an entry as the part of a message."""
+    return shown(repr(value) if not isinstance(value, int) or abs(value) < 10**60 else "a huge number", 60)
 
 
 def read(path: Path) -> dict[str, Any]:
-    """The contents of the file, of which only its outermost form is checked.
+    """Returns the contents of the file, of which only its outermost form is checked.
 
     Raises:
-        DatasetError: if it is not JSON, or has no list of frames.
+        DatasetError: if it is not JSON, has no list of frames, or more than `MOST_FRAMES`.
     """
-    try:
-        contents = json.loads(path.read_text(encoding="utf-8"))
-    except (UnicodeDecodeError, ValueError, RecursionError) as error:
-        raise DatasetError(f"{path}: not valid JSON ({error}). Export the capture again.") from error
+    with blamed_on(path, "not valid JSON", "Export the capture again.", DatasetError):
+        text = path.read_bytes()
+        # Each frame is an object of its own: counted before a gigabyte is parsed.
+        if (objects := text.count(b"{")) > 2 * MOST_FRAMES:
+            raise too_many(path, objects)
+        contents = json.loads(text.decode("utf-8-sig"))  # some editors put a mark before the text
     frames = contents.get("frames") if isinstance(contents, dict) else None
     if not isinstance(frames, list) or not frames or not all(isinstance(f, dict) for f in frames):
         raise DatasetError(f'{path}: it has no list of "frames", so no poses. Export the capture again.')
+    if len(frames) > MOST_FRAMES:
+        raise too_many(path, len(frames))
     return contents
 
 
+def too_many(path: Path, count: int) -> DatasetError:
+    """Returns the error about a file of more frames than a capture can have."""
+    return DatasetError(f"{path}: {count:,} frames, and at most {MOST_FRAMES:,} are read. Split the capture.")
+
+
 def frames_of(path: Path, contents: dict[str, Any]) -> list[Frame]:
-    """The frames, in the order of the file.
+    """Returns the frames, in the order of the file.
 
     Raises:
         DatasetError: if an entry is missing, of the wrong kind, or leads out of the file's folder; or if
             a photo occurs twice.
     """
-    frames = [frame_of(path, i, entries, contents) for i, entries in enumerate(contents["frames"])]
-    names = [frame.name for frame in frames]
-    if twice := [name for name, count in Counter(names).items() if count > 1]:
-        raise DatasetError(f"{path}: {twice[0]} is the photo of two frames. Remove one of them.")
-    return frames
+    entries = contents["frames"]
+    poses = poses_of(path, entries)
+    found: dict[str, Frame] = {}
+    for i, (own, pose) in enumerate(zip(entries, poses, strict=True)):
+        frame = frame_of(path, Fields(f"{path}, frame {i}", own, contents), own, pose)
+        if frame.name in found:
+            raise DatasetError(f"{path}: {frame.name} is the photo of two frames. Remove one of them.")
+        found[frame.name] = frame
+    return list(found.values())
 
 
-def frame_of(path: Path, index: int, entries: dict[str, Any], contents: dict[str, Any]) -> Frame:
-    """One frame; what it lacks in intrinsics it takes from the whole file."""
-    own = Fields(f"{path}, frame {index}", entries)
-    either = Fields(own.where, entries, contents)
-    name, pose = own.text("file_path"), own.rigid("transform_matrix")
-    if name is None or pose is None:
-        missing = "file_path" if name is None else "transform_matrix"
-        raise DatasetError(
-            f"{own.where}: it has no {missing}. Export the capture again, or remove the frame."
-        )
-    photo = inside(path.parent, name, own.where)
-    if not images.is_image(photo):  # Blender's are named without their suffix
-        photo = photo.with_name(photo.name + ".png")
-    mask = own.text("mask_path")
+def poses_of(path: Path, entries: list[dict[str, Any]]) -> Float[np.ndarray, "n 3 4"]:
+    """Returns the poses of all frames, from the world to the camera.
+
+    Raises:
+        DatasetError: if one is missing or is not a rotation and a translation. The message names its frame.
+    """
+    matrices = matrices_of([entry.get("transform_matrix") for entry in entries])
+    poses, good = (None, np.zeros(1, bool)) if matrices is None else nearest_rigid(matrices)
+    if poses is None or not good.all():  # one by one, to find which is wrong; or some are 3 x 4, some 4 x 4
+        every = []
+        for i, entry in enumerate(entries):
+            fields = Fields(f"{path}, frame {i}", entry)
+            if (pose := fields.rigid("transform_matrix")) is None:
+                raise missing(fields, "transform_matrix")
+            every.append(pose)
+        poses = np.stack(every)
+    return np.linalg.inv(poses @ FROM_OPENGL)[:, :3]
+
+
+def frame_of(
+    path: Path, fields: Fields, entries: dict[str, Any], cam_from_world: Float[np.ndarray, "3 4"]
+) -> Frame:
+    """Returns one frame.
+
+    Args:
+        path: of the file.
+        fields: of the frame, and of the whole file where the frame has none of its own.
+        entries: the frame alone.
+        cam_from_world: pose.
+    """
+    own = Fields(fields.where, entries)
+    name, mask = own.text("file_path"), own.text("mask_path")
+    if name is None:
+        raise missing(own, "file_path")
+    name = names.checked(name, own.where)
+    if not name.lower().endswith(tuple(SUFFIXES)):  # Blender's are named without their suffix
+        name += ".png"
     return Frame(
-        photo.relative_to(path.parent).as_posix(),
-        photo,
-        inside(path.parent, mask, own.where) if mask else None,
-        lambda size: lens_of(either, size),
-        np.linalg.inv(pose @ FROM_OPENGL)[:3],
+        name,
+        path.parent / name,
+        path.parent / names.checked(mask, own.where) if mask else None,
+        lambda size: lens_of(fields, size),
+        cam_from_world,
     )
 
 
-def inside(folder: Path, name: str, where: str) -> Path:
-    """The file of this name in a folder.
-
-    Raises:
-        DatasetError: if the name leads elsewhere.
-    """
-    relative = PurePosixPath(name.replace("\\", "/"))
-    if relative.is_absolute() or ".." in relative.parts or ":" in relative.as_posix():
-        raise DatasetError(
-            f"{where}: {shortened(name)} leads out of the capture's folder. Move the photos into it, and "
-            "name them relative to it."
-        )
-    return folder / relative
+def missing(fields: Fields, key: str) -> DatasetError:
+    """Returns the error about a frame without an entry that it needs."""
+    return DatasetError(f"{fields.where}: it has no {key}. Export the capture again, or remove the frame.")
 
 
-def lens_of(fields: Fields, size: tuple[int, int]) -> pycolmap.Camera:
-    """The camera of a frame, at the size that its intrinsics are for: the photo's if that is not told.
+def lens_of(fields: Fields, size: tuple[int, int]) -> "pycolmap.Camera":
+    """Returns the camera of a frame, at the size that its intrinsics are for: the photo's if none is told.
 
     Raises:
         DatasetError: if there is no focal length, or the model of the lens is unknown.
     """
-    width, height = fields.positive("w") or float(size[0]), fields.positive("h") or float(size[1])
+    width, height = fields.side("w") or float(size[0]), fields.side("h") or float(size[1])
     fx = fields.positive("fl_x") or focal_of(fields.positive("camera_angle_x"), width)
     vertical = None if fields.find("fl_x") else focal_of(fields.positive("camera_angle_y"), height)
     fy = fields.positive("fl_y") or vertical
@@ -205,9 +277,12 @@ def lens_of(fields: Fields, size: tuple[int, int]) -> pycolmap.Camera:
 
 
 def focal_of(angle: float | None, side: float) -> float | None:
-    """Pixels, from the field of view along a side."""
+    """Returns the focal length in pixels, from the field of view along a side."""
     return 0.5 * side / math.tan(angle / 2) if angle else None
 
 
-def camera(model: str, width: float, height: float, parameters: list[float]) -> pycolmap.Camera:
+def camera(model: str, width: float, height: float, parameters: list[float]) -> "pycolmap.Camera":
+    """Returns COLMAP's camera."""
+    import pycolmap
+
     return pycolmap.Camera(model=model, width=round(width), height=round(height), params=parameters)

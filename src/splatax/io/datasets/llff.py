@@ -7,15 +7,19 @@ back; then the depths of the nearest and the farthest point, which are not used.
 """
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pycolmap
 from jaxtyping import Float
 
 from splatax.dataset import Dataset, PointCloud, hold_out
 from splatax.errors import DatasetError
 from splatax.io import images
-from splatax.io.datasets import masks, photos
+from splatax.io.damage import blamed_on
+from splatax.io.datasets import masks, names, photos
+
+if TYPE_CHECKING:
+    import pycolmap
 
 FILE = "poses_bounds.npy"
 LOOKED_FOR = f"LLFF's {FILE}"
@@ -24,7 +28,7 @@ RIGID_TOLERANCE = 1e-2  # of R R^T against the identity
 
 
 def recognise(path: Path) -> bool:
-    """Whether the folder holds LLFF's poses."""
+    """Returns whether the folder holds LLFF's poses."""
     return (path / FILE).is_file()
 
 
@@ -38,10 +42,11 @@ def load(path: Path, *, downscale: int | None = None) -> Dataset:
             f"{path / FILE}: poses of {len(rows)} photos, but {folder} holds {len(found)}; they belong "
             "together by order alone, so all must be there. Put back the folder as it was."
         )
-    beside = masks.masks_of(path, [photo.name for photo in found])
+    by_name = {names.checked(photo.name, folder): photo for photo in found}
+    beside = masks.masks_of(path, by_name)
     sources = [
-        photos.source_of(photo.name, photo, lens_of(row), pose_of(row), beside.get(photo.name))
-        for photo, row in zip(found, rows, strict=True)
+        photos.source_of(name, photo, lens_of(row), pose_of(row), path, beside.get(name))
+        for (name, photo), row in zip(by_name.items(), rows, strict=True)
     ]
     factor = photos.shrink_factor(sources, already, downscale)
     views = [source.view(factor) for source in sources]
@@ -49,38 +54,45 @@ def load(path: Path, *, downscale: int | None = None) -> Dataset:
     notes = (
         f"{len(views)} photos with poses, {len(test)} held out for testing",
         f"no points; photos {photos.sizes_of(views)} from {folder.name}/{photos.scaling(factor)}",
+        *photos.limited(sources),
     )
     none = np.zeros((0, 3), np.float32)
     return Dataset(train, test, PointCloud(none, none), notes, survey=photos.survey(sources, (), {}))
 
 
 def read(path: Path) -> Float[np.ndarray, "n 17"]:
-    """The rows of the file.
+    """Returns the rows of the file.
 
     Raises:
-        DatasetError: if it is no array of the format, or a pose is no rotation.
+        DatasetError: if it is not an array of the format, a pose is not a rotation, or no photo has its size.
     """
-    try:
-        rows = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise DatasetError(f"{path}: not an array that NumPy can read ({error}). Copy it again.") from error
+    with blamed_on(path, "not an array that NumPy can read", "Copy it again.", DatasetError):
+        rows = np.load(path, mmap_mode="r", allow_pickle=False)  # mapped: its header may claim any size
     if not isinstance(rows, np.ndarray) or rows.ndim != 2 or rows.shape[1] != ROW or rows.dtype.kind != "f":
         shape = getattr(rows, "shape", "several arrays")
         raise DatasetError(f"{path}: LLFF's poses are rows of {ROW} numbers, not {shape}. Make it again.")
+    rows = np.array(rows, np.float64)
     matrices = rows[:, :15].reshape(-1, 3, 5)
     with np.errstate(all="ignore"):
         rotations = matrices[:, :, :3]
         off = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max((1, 2), initial=0)
         wrong = (
-            ~np.isfinite(matrices).all((1, 2)) | ~(off < RIGID_TOLERANCE) | (matrices[:, :, 4] <= 0).any(1)
+            ~np.isfinite(matrices).all((1, 2))
+            | ~(off < RIGID_TOLERANCE)
+            | (matrices[:, :2, 4] < 1).any(1)
+            | (matrices[:, :2, 4] > photos.LARGEST_CAMERA).any(1)
+            | (matrices[:, 2, 4] <= 0)
         )
     if not len(rows) or wrong.any():
         which = f"row {int(np.argmax(wrong))} is no pose" if len(rows) else "it has no rows"
         raise DatasetError(f"{path}: {which}. Make the file again.")
-    return rows.astype(np.float64)
+    return rows
 
 
-def lens_of(row: Float[np.ndarray, "17"]) -> pycolmap.Camera:
+def lens_of(row: Float[np.ndarray, "17"]) -> "pycolmap.Camera":
+    """Returns the camera of a row: a pinhole whose axis is in the middle of the photo."""
+    import pycolmap
+
     height, width, focal = row[:15].reshape(3, 5)[:, 4]
     return pycolmap.Camera(
         model="PINHOLE",
@@ -91,7 +103,7 @@ def lens_of(row: Float[np.ndarray, "17"]) -> pycolmap.Camera:
 
 
 def pose_of(row: Float[np.ndarray, "17"]) -> Float[np.ndarray, "3 4"]:
-    """From world to camera axes x right, y down, z forward."""
+    """Returns the transform from the world to camera axes x right, y down, z forward."""
     down, right, back, position = row[:15].reshape(3, 5)[:, :4].T
     rotation = np.stack([right, down, -back])
     return np.column_stack([rotation, -rotation @ position])

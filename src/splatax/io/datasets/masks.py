@@ -18,7 +18,7 @@ FOLDER = "masks"
 
 
 def masks_of(capture: Path, names: Iterable[str]) -> dict[str, Path]:
-    """The mask of each photo that has one.
+    """Returns the mask of each photo that has one.
 
     Raises:
         DatasetError: if there are masks, but none of them bears the name of a photo.
@@ -41,11 +41,11 @@ def masks_of(capture: Path, names: Iterable[str]) -> dict[str, Path]:
 def decoder(
     path: Path, photo: tuple[int, int], straighten: Callable[[Pixels], Pixels], view: tuple[int, int]
 ) -> Callable[[], Mask]:
-    """Reads the mask when it is needed, and brings it into the form of its view.
+    """Returns a function that reads the mask when it is needed, and brings it into the form of its view.
 
     Args:
-        path: of the mask, of the photo's proportions.
-        photo: width and height of the photo on disk.
+        path: of the mask, which has the photo's proportions.
+        photo: width and height of the decoded photo.
         straighten: removes the lens's distortion from pictures of that size.
         view: width and height of the view.
 
@@ -65,6 +65,7 @@ def decoder(
 def decode(
     path: Path, photo: tuple[int, int], straighten: Callable[[Pixels], Pixels], view: tuple[int, int]
 ) -> Mask:
+    """Decodes a mask, and undistorts and resizes it as its photo."""
     mask = resize_mask(images.read_mask(path), *photo)
     shades = np.repeat(np.where(mask, np.uint8(255), np.uint8(0))[..., None], 3, axis=2)
     return resize_mask(straighten(shades)[..., 0] > 127, *view)

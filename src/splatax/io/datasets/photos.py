@@ -1,30 +1,35 @@
-"""Photos with known cameras, as every loader has them: sized, undistorted and turned on demand."""
+"""Photos with known cameras, for every loader: read, undistorted, turned and resized on demand."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
-import pycolmap
 from jaxtyping import Float
 
 from splatax.camera import Camera
 from splatax.dataset import Pixels, Survey, View
-from splatax.errors import DatasetError
+from splatax.errors import DatasetError, shown
 from splatax.io import images
-from splatax.io.datasets import masks
+from splatax.io.damage import blamed_on
+from splatax.io.datasets import masks, names
 from splatax.io.datasets.undistortion import undistortion
 from splatax.resampling import resize
 
+if TYPE_CHECKING:
+    import pycolmap
+
 RESIZED_FOLDERS = (2, 4, 8)  # images_2, images_4, images_8: photos that someone has shrunk already
 LARGEST_SIDE = 1600  # pixels, of photos that are loaded without being told a size (as INRIA's)
+LARGEST_CAMERA = 1 << 20  # pixels, of a side: what no photo has
 NAMED = 3  # photos that a message names before it counts the rest
 
 
 def photo_folder(path: Path, downscale: int | None) -> tuple[Path, int]:
-    """The folder of photos, and by how much those in it are shrunk already."""
+    """Returns the folder of photos, and the factor by which those in it are shrunk already."""
     if downscale in RESIZED_FOLDERS and (path / f"images_{downscale}").is_dir():
         return path / f"images_{downscale}", downscale
     for factor in (1, *RESIZED_FOLDERS):
@@ -38,47 +43,85 @@ def photo_folder(path: Path, downscale: int | None) -> tuple[Path, int]:
 
 @dataclass(frozen=True)
 class Source:
-    """A registered photo on disk."""
+    """A registered photo on disk.
+
+    Attributes:
+        name: of the photo, unique in the capture.
+        path: of the photo.
+        mask: path of its mask, if it has one.
+        upright: whether its EXIF orientation must be applied to match its camera.
+        divisor: by how much it is decoded smaller than it is stored, to fit into memory.
+        camera: of the decoded size.
+        cam_from_world: pose, with x right, y down, z forward.
+    """
 
     name: str
     path: Path
     mask: Path | None
-    upright: bool  # its EXIF orientation must be applied to match its camera
-    camera: pycolmap.Camera  # of the photo's real size
+    upright: bool
+    divisor: int
+    camera: "pycolmap.Camera"
     cam_from_world: Float[np.ndarray, "3 4"]
 
     def view(self, factor: float) -> View:
-        """The view at 1 / factor of the photo's size, without distortion."""
-        pinhole, straighten = undistortion(self.camera, factor)
-        camera = camera_of(pinhole, self.cam_from_world)
+        """Returns the view at 1 / factor of the stored photo's size, but no larger than it is decoded."""
+        factor = max(factor / self.divisor, 1.0)
+        with blamed_on(self.path, "its camera cannot be used", "Calibrate it again.", DatasetError):
+            pinhole, straighten = undistortion(self.camera, factor)
+            camera = camera_of(pinhole, self.cam_from_world)
         width, height = (max(1, round(side / factor)) for side in (camera.width, camera.height))
-        decode = partial(decode_photo, self.path, self.upright, straighten, width, height)
         mask = None
         if self.mask:
             on_disk = (self.camera.width, self.camera.height)
             mask = masks.decoder(self.mask, on_disk, straighten, (width, height))
-        return View(self.name, camera.resized(width, height), decode, mask)
+        return View(
+            self.name, camera.resized(width, height), partial(self.pixels, straighten, width, height), mask
+        )
+
+    def pixels(self, straighten: Callable[[Pixels], Pixels], width: int, height: int) -> Pixels:
+        """Decodes the photo for its view."""
+        pixels = images.read(self.path, upright=self.upright, divisor=self.divisor)
+        with blamed_on(
+            self.path, "the photo cannot be undistorted", "Calibrate its camera again.", DatasetError
+        ):
+            return resize(straighten(pixels), width, height)
 
 
 def source_of(
     name: str,
     path: Path,
-    camera: pycolmap.Camera,
+    camera: "pycolmap.Camera",
     cam_from_world: Float[np.ndarray, "3 4"],
+    capture: Path,
     mask: Path | None = None,
 ) -> Source:
     """Fits the camera of a photo to the photo's real size.
 
+    Args:
+        name: of the photo, unique in the capture.
+        path: of the photo, below the folder of the capture.
+        camera: as it was calibrated, perhaps for another size.
+        cam_from_world: pose.
+        capture: folder that photo and mask must lie in, with all links followed.
+        mask: path of its mask, if it has one.
+
     Raises:
-        DatasetError: if the photo has other proportions than its camera, upright or not.
+        DatasetError: if the photo has other proportions than its camera, upright or not, the camera or the
+            pose is not one of finite numbers, or a link leads out of the capture.
     """
+    import pycolmap
+
+    for file in (path, *([mask] if mask else [])):
+        names.confined(file, capture)
+    check_camera(path, camera, cam_from_world)
     camera = pycolmap.Camera(camera.todict())
     for upright in (False, True):
-        width, height = images.size_of(path, upright=upright)
+        header = images.header_of(path, upright=upright)
+        width, height = header.size
         # Equal proportions, give or take the rounding of a resize.
         if abs(width * camera.height / camera.width - height) <= 1.5:
             camera.rescale(width, height)
-            return Source(name, path, mask, upright, camera, cam_from_world)
+            return Source(name, path, mask, upright, header.divisor, camera, cam_from_world)
     width, height = images.size_of(path)
     raise DatasetError(
         f"{path}: {width} x {height} pixels, but its camera is {camera.width} x {camera.height}: other "
@@ -86,8 +129,30 @@ def source_of(
     )
 
 
-def camera_of(pinhole: pycolmap.Camera, cam_from_world: Float[np.ndarray, "3 4"]) -> Camera:
-    """Our camera, from COLMAP's intrinsics of a pinhole and a pose."""
+def check_camera(path: Path, camera: "pycolmap.Camera", cam_from_world: Float[np.ndarray, "3 4"]) -> None:
+    """Refuses a camera or a pose that no photo can have.
+
+    Raises:
+        DatasetError: if the camera has no pixels, no focal length above zero, or a number is not finite.
+    """
+    with np.errstate(over="ignore", under="ignore"):  # cameras are computed with in float32
+        lens = np.array([camera.focal_length_x, camera.focal_length_y, *camera.params], np.float32)
+        pose = cam_from_world.astype(np.float32)
+    sized = all(0 < side <= LARGEST_CAMERA for side in (camera.width, camera.height))
+    if not (sized and np.isfinite(lens).all() and lens[:2].min() > 0):
+        values = " ".join(f"{value:.6g}" for value in camera.params)
+        raise DatasetError(
+            f"{path}: its camera is {camera.width} x {camera.height} pixels with the parameters "
+            f"{shown(values)}, which no photo has. Calibrate it again, or correct the file of cameras."
+        )
+    if not np.isfinite(pose).all():
+        raise DatasetError(
+            f"{path}: its pose is not one of finite numbers. Find the poses again, or remove the photo."
+        )
+
+
+def camera_of(pinhole: "pycolmap.Camera", cam_from_world: Float[np.ndarray, "3 4"]) -> Camera:
+    """Returns our camera, from COLMAP's intrinsics of a pinhole and a pose."""
     return Camera(
         fx=jnp.float32(pinhole.focal_length_x),
         fy=jnp.float32(pinhole.focal_length_y),
@@ -99,59 +164,66 @@ def camera_of(pinhole: pycolmap.Camera, cam_from_world: Float[np.ndarray, "3 4"]
     )
 
 
-def decode_photo(
-    path: Path, upright: bool, straighten: Callable[[Pixels], Pixels], width: int, height: int
-) -> Pixels:
-    return resize(straighten(images.read(path, upright=upright)), width, height)
-
-
 def shrink_factor(sources: list[Source], already: int, downscale: int | None) -> float:
-    """By how much photos are to be shrunk, beyond what those on disk are."""
+    """Returns the factor by which to shrink photos, beyond what those on disk are shrunk already."""
     if downscale is not None:
         return downscale / already
-    longest = max(max(source.camera.width, source.camera.height) for source in sources)
+    longest = max(source.divisor * max(source.camera.width, source.camera.height) for source in sources)
     return float(-(-longest // LARGEST_SIDE))
 
 
 def unused(folder: Path, used: Iterable[Path]) -> tuple[str, ...]:
-    """Photos in a folder, by name, that no view was made of."""
+    """Returns the names of the photos in a folder that no view was made of."""
     photos = {path for path in folder.rglob("*") if images.is_image(path)}
-    return tuple(sorted(path.relative_to(folder).as_posix() for path in photos.difference(used)))
+    return tuple(sorted(shown(path.relative_to(folder).as_posix()) for path in photos.difference(used)))
 
 
 def survey(
     sources: list[Source], unused: tuple[str, ...], errors: dict[str, Float[np.ndarray, " _"]]
 ) -> Survey:
-    """What was seen of photos on disk."""
+    """Returns what was seen of the photos on disk."""
     files = {source.name: source.path for source in sources}
     return Survey(files, {source.name: lens(source.camera) for source in sources}, unused, errors)
 
 
-def lens(camera: pycolmap.Camera) -> str:
-    """A camera in words: "SIMPLE_RADIAL 504 x 378, f=407.57 cx=252 cy=189 k=0.01975"."""
+def lens(camera: "pycolmap.Camera") -> str:
+    """Describes a camera in words: "SIMPLE_RADIAL 504 x 378, f=407.57 cx=252 cy=189 k=0.01975"."""
     names = camera.params_info.split(", ")
     values = " ".join(f"{name}={value:.6g}" for name, value in zip(names, camera.params, strict=True))
     return f"{camera.model.name} {camera.width} x {camera.height}, {values}"
 
 
 def sizes_of(views: list[View]) -> str:
-    """ "504 x 378", or the range of sizes."""
+    """Returns the size of all views in words, such as "504 x 378", or the range of their sizes."""
     sizes = sorted({(view.camera.width, view.camera.height) for view in views})
     names = [f"{width} x {height}" for width, height in sizes]
     return names[0] if len(names) == 1 else f"{names[0]} to {names[-1]}"
 
 
+def limited(sources: list[Source]) -> list[str]:
+    """Returns a note about photos that are decoded smaller than they are stored; none if there are none."""
+    smaller = [source.name for source in sources if source.divisor > 1]
+    if not smaller:
+        return []
+    limit = images.memory_limit() / 1e9
+    return [
+        f"{counted(len(smaller))} decoded at half the size or less, to take no more than {limit:.1f} GB of "
+        f"memory each: {listed(smaller)}"
+    ]
+
+
 def scaling(factor: float) -> str:
+    """Returns how much photos are shrunk, as the end of a sentence; nothing if they are not."""
     return "" if factor == 1 else f", shrunk {factor:g} times"
 
 
 def counted(number: int) -> str:
-    """ "1 photo", "2 photos"."""
+    """Returns a number of photos in words: "1 photo", "2 photos"."""
     return f"{number} photo" if number == 1 else f"{number} photos"
 
 
-def listed(names: Iterable[str]) -> str:
-    """ "a, b, c and 4 more"."""
-    every = list(names)
+def listed(found: Iterable[str]) -> str:
+    """Returns names as the part of a sentence, the first few of them: "a, b, c and 4 more"."""
+    every = [shown(name) for name in found]
     more = f" and {len(every) - NAMED} more" if len(every) > NAMED else ""
     return ", ".join(every[:NAMED]) + more

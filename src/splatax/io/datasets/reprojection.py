@@ -1,33 +1,37 @@
-"""How well cameras and points agree, measured through the project's own projection."""
+"""Measures how well cameras and points agree, through the project's own projection."""
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
-import pycolmap
 from jaxtyping import Array, Float
 
 from splatax.camera import Camera
+
+if TYPE_CHECKING:
+    import pycolmap
 
 MAX_VIEWS = 40  # spread over the capture
 SAMPLES = 512  # observations of each: one shape for all views compiles once
 
 
 def reprojection_errors(
-    model: pycolmap.Reconstruction, registered: list[pycolmap.Image], cameras: dict[str, Camera]
+    model: "pycolmap.Reconstruction", registered: "dict[str, pycolmap.Image]", cameras: dict[str, Camera]
 ) -> dict[str, Float[np.ndarray, " _"]]:
-    """Distances in pixels of the loaded views between where points were seen and where they project.
+    """Returns distances in pixels of the loaded views between where points were seen and where they project.
 
     Args:
         model: the COLMAP model.
-        registered: its images, sorted.
+        registered: its images by name, sorted.
         cameras: the pinhole of each, by name.
 
     Returns:
         By name, the errors of a sample of observations, for a sample of images that have any.
     """
     errors = {}
-    for image in registered[:: -(-len(registered) // MAX_VIEWS)]:
+    for name in list(registered)[:: -(-len(registered) // MAX_VIEWS)]:
+        image = registered[name]
         observed = [p for p in image.get_observation_points2D() if model.exists_point3D(p.point3D_id)]
         if not observed:
             continue
@@ -35,14 +39,14 @@ def reprojection_errors(
         count, sample = len(sample), (sample * SAMPLES)[:SAMPLES]  # repeated to the one shape
         points = np.array([model.point3D(p.point3D_id).xyz for p in sample], np.float32)
         # Through the lens model to slopes, and through our pinhole back to pixels.
-        camera = cameras[image.name]
+        camera = cameras[name]
         slopes = model.camera(image.camera_id).cam_from_img(np.array([p.xy for p in sample]))
         seen = np.asarray(slopes) * [float(camera.fx), float(camera.fy)] + [
             float(camera.cx),
             float(camera.cy),
         ]
         drawn = _to_pixels(replace(camera, width=1, height=1), points)
-        errors[image.name] = np.linalg.norm(np.asarray(drawn) - seen, axis=1)[:count]
+        errors[name] = np.linalg.norm(np.asarray(drawn) - seen, axis=1)[:count]
     return errors
 
 

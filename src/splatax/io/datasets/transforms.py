@@ -13,9 +13,10 @@ import numpy as np
 from jaxtyping import Float
 
 from splatax.dataset import Dataset, PointCloud, View, hold_out
-from splatax.errors import DatasetError, FormatError
+from splatax.errors import DatasetError, shown
 from splatax.io import images
-from splatax.io.datasets import frames, masks, photos
+from splatax.io.damage import blamed_on
+from splatax.io.datasets import frames, masks, names, photos
 from splatax.io.datasets.frames import Fields, Frame
 from splatax.io.formats import ply_table
 
@@ -25,7 +26,7 @@ SPLITS = ("train_filenames", "test_filenames", "val_filenames")  # nerfstudio's,
 
 
 def recognise(path: Path) -> bool:
-    """Whether the folder holds frames in JSON."""
+    """Returns whether the folder holds frames in JSON."""
     return (path / WHOLE).is_file() or (path / TRAIN).is_file()
 
 
@@ -50,7 +51,7 @@ def load(path: Path, *, downscale: int | None = None) -> Dataset:
 
 
 def named_test(path: Path, contents: dict[str, Any], found: list[Frame]) -> set[str] | None:
-    """The photos that the file itself holds out; None if it does not say.
+    """Returns the photos that the file itself holds out; None if it does not say.
 
     Raises:
         DatasetError: if it names others than its frames have.
@@ -63,7 +64,9 @@ def named_test(path: Path, contents: dict[str, Any], found: list[Frame]) -> set[
             raise Fields(f"{path}", contents).wrong(key, "a list of photos")
         split[key] = {PurePosixPath(name.replace("\\", "/")).as_posix() for name in listed}
         if strange := sorted(split[key] - names):
-            raise DatasetError(f"{path}: {key} names {strange[0]}, which no frame has. Correct the list.")
+            raise DatasetError(
+                f"{path}: {key} names {shown(strange[0])}, which no frame has. Correct the list."
+            )
     tested = split["test_filenames"] or split["val_filenames"]
     return tested or (names - split["train_filenames"] if split["train_filenames"] else None) or None
 
@@ -76,18 +79,20 @@ def dataset_of(
     contents: dict[str, Any],
     world: Float[np.ndarray, "4 4"] | None,
 ) -> Dataset:
-    """The capture of some frames.
+    """Returns the capture of some frames.
 
     Args:
-        path: of the file, for messages and what lies beside it.
+        path: of the file, for messages and the files beside it.
         found: the frames.
-        tested: names of those held out; None for every 8th.
+        tested: names of the photos that are held out; None for every 8th.
         downscale: see `load_dataset`.
         contents: of the file, for its points.
-        world: what was applied to the poses after they were found, and is undone here.
+        world: transform that was applied to the poses after they were found, and is undone here.
     """
-    present = [frame for frame in found if frame.path.is_file()]
-    missing = [frame.name for frame in found if not frame.path.is_file()]
+    present: list[Frame] = []
+    missing: list[Frame] = []
+    for frame in found:
+        (present if os.path.isfile(frame.path) else missing).append(frame)
     if not present:
         raise DatasetError(
             f"{path}: none of its {len(found)} photos is there; the first should be {found[0].path}. "
@@ -102,6 +107,7 @@ def dataset_of(
             frame.path,
             frame.lens(upright_size(frame.path)),
             frame.cam_from_world if world is None else frame.cam_from_world @ world,
+            path.parent,
             frame.mask or beside.get(name),
         )
         for name, frame in sorted(named.items())
@@ -113,21 +119,24 @@ def dataset_of(
     unused = photos.unused(folder, [source.path for source in sources]) if folder != path.parent else ()
     notes = [f"{len(views)} photos with poses, {len(test)} held out for testing"]
     if missing:
-        notes.append(f"{len(missing)} of {len(found)} frames have no photo: {photos.listed(missing)}")
+        lacking = photos.listed(frame.name for frame in missing)
+        notes.append(f"{len(missing)} of {len(found)} frames have no photo: {lacking}")
     notes.append(f"{len(points):,} points; photos {photos.sizes_of(views)}{photos.scaling(factor)}")
+    notes += photos.limited(sources)
     if count := sum(source.mask is not None for source in sources):
         notes.append(f"masks for {count} of {len(views)} photos")
     return Dataset(train, test, points, tuple(notes), survey=photos.survey(sources, unused, {}))
 
 
 def upright_size(path: Path) -> tuple[int, int]:
+    """Returns the width and height of a photo that is turned as its EXIF orientation says."""
     return images.size_of(path, upright=True)
 
 
 def parted(
     path: Path, views: list[View], named: dict[str, Frame], tested: set[str]
 ) -> tuple[tuple[View, ...], tuple[View, ...]]:
-    """(train, test), as the capture says.
+    """Returns (train, test), as the capture says.
 
     Raises:
         DatasetError: if nothing is left to train on.
@@ -142,7 +151,7 @@ def parted(
 
 
 def points_of(path: Path, contents: dict[str, Any], world: Float[np.ndarray, "4 4"] | None) -> PointCloud:
-    """The points of the PLY file that is named in the file; none if none is.
+    """Returns the points of the PLY file that is named in the file; none if none is.
 
     Raises:
         DatasetError: if it is missing, damaged, or holds no coloured points.
@@ -150,15 +159,13 @@ def points_of(path: Path, contents: dict[str, Any], world: Float[np.ndarray, "4 
     name = Fields(f"{path}", contents).text("ply_file_path")
     if name is None:
         return PointCloud(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32))
-    ply = frames.inside(path.parent, name, f"{path}, ply_file_path")
-    try:
-        vertex = ply_table.read(ply).elements["vertex"]
+    ply = path.parent / names.checked(name, f"{path}, ply_file_path")
+    way_out = f"{path.name} names it as its ply_file_path. Put the right file there, or remove that line."
+    if not ply.is_file():
+        raise DatasetError(f"{ply}: no such file, but {way_out}")
+    with blamed_on(ply, "no coloured points can be read from it", way_out, DatasetError):
+        vertex = ply_table.read(names.confined(ply, path.parent)).elements["vertex"]
         columns = [vertex[c].astype(np.float64) for c in ("x", "y", "z", "red", "green", "blue")]
-    except (OSError, FormatError, KeyError, ValueError) as error:
-        raise DatasetError(
-            f"{ply}: no coloured points can be read from it ({error}), but {path.name} names it as its "
-            "ply_file_path. Put the right file there, or remove that line."
-        ) from error
     positions, colors = np.stack(columns[:3], axis=1), np.stack(columns[3:], axis=1)
     if not np.isfinite(positions).all():
         raise DatasetError(f"{ply}: some points are at no finite place. Export the points again.")

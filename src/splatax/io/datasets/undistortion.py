@@ -1,29 +1,33 @@
-"""Photos of lenses that bend lines -> photos of pinholes."""
+"""Turns photos of lenses that bend lines into photos of pinhole cameras."""
 
 from collections.abc import Callable
 from functools import lru_cache, partial
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pycolmap
 from jaxtyping import Float
-from scipy import ndimage
 
 from splatax.dataset import Pixels
+
+if TYPE_CHECKING:
+    import pycolmap
 
 ENOUGH_SHRINKING = 2.0  # times: then the blur of bilinear interpolation is averaged away
 
 
 def undistortion(
-    camera: pycolmap.Camera, shrinking: float
-) -> tuple[pycolmap.Camera, Callable[[Pixels], Pixels]]:
-    """A pinhole for the photos of a camera, and what brings its photos into that form.
+    camera: "pycolmap.Camera", shrinking: float
+) -> "tuple[pycolmap.Camera, Callable[[Pixels], Pixels]]":
+    """Returns a pinhole for the photos of a camera, and the function that brings its photos into that form.
 
     Args:
         camera: of the photos.
-        shrinking: by how much the result will be shrunk. Bilinear interpolation is fast, but takes half
-            of a photo's finest detail (variance of its Laplacian); so photos that keep their size are
+        shrinking: factor by which the result will be shrunk. Bilinear interpolation is fast, but removes half
+            of a photo's finest detail (variance of its Laplacian). Photos that keep their size are therefore
             interpolated by cubic splines.
     """
+    import pycolmap
+
     # pycolmap calls all that is no fisheye a "perspective pinhole", whatever its distortion.
     if camera.is_perspective_pinhole() and camera.is_undistorted():
         return camera, lambda pixels: pixels
@@ -34,7 +38,10 @@ def undistortion(
     return pinhole, partial(cubic, described(camera), described(pinhole))
 
 
-def bilinear(camera: pycolmap.Camera, options: pycolmap.UndistortCameraOptions, pixels: Pixels) -> Pixels:
+def bilinear(camera: "pycolmap.Camera", options: "pycolmap.UndistortCameraOptions", pixels: Pixels) -> Pixels:
+    """Undistorts a photo by bilinear interpolation."""
+    import pycolmap
+
     parts = [pixels[..., :3], *([pixels[..., 3]] if pixels.shape[2] == 4 else [])]
     bitmaps = [pycolmap.Bitmap.from_array(np.ascontiguousarray(part)) for part in parts]
     return np.dstack([pycolmap.undistort_image(options, bitmap, camera)[0].to_array() for bitmap in bitmaps])
@@ -43,11 +50,15 @@ def bilinear(camera: pycolmap.Camera, options: pycolmap.UndistortCameraOptions, 
 Described = tuple[str, int, int, tuple[float, ...]]  # a camera as a key: model, width, height, parameters
 
 
-def described(camera: pycolmap.Camera) -> Described:
+def described(camera: "pycolmap.Camera") -> Described:
+    """Returns a camera as a key."""
     return camera.model.name, camera.width, camera.height, tuple(camera.params.tolist())
 
 
 def cubic(camera: Described, pinhole: Described, pixels: Pixels) -> Pixels:
+    """Undistorts a photo by cubic splines."""
+    from scipy import ndimage
+
     rows_and_columns = sources(camera, pinhole)
     channels = [
         ndimage.map_coordinates(channel, rows_and_columns, np.float32, order=3, mode="nearest")
@@ -58,8 +69,12 @@ def cubic(camera: Described, pinhole: Described, pixels: Pixels) -> Pixels:
 
 @lru_cache(maxsize=2)  # photos of one camera follow each other
 def sources(camera: Described, pinhole: Described) -> Float[np.ndarray, "2 h w"]:
-    """Row and column of the distorted photo, counted from its first pixel's centre, that each pixel of
-    the pinhole's comes from."""
+    """Returns the row and the column of the distorted photo that each pixel of the pinhole's comes from.
+
+    They are counted from the centre of the first pixel.
+    """
+    import pycolmap
+
     bent, straight = (
         pycolmap.Camera(model=model, width=width, height=height, params=list(parameters))
         for model, width, height, parameters in (camera, pinhole)

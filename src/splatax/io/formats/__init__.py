@@ -1,13 +1,14 @@
-"""Splat files <-> `Gaussians`, by suffix.
+"""Reads and writes splat files; the suffix of the name decides the format.
 
 A format is a module with `load(path)`, `save(path, gaussians, comments=)`, or both, and
 
     comments(path)   the lines kept with the scene (beside `load`)
-    MAX_SH_DEGREE    that it can hold (beside `save`)
+    MAX_SH_DEGREE    the highest SH degree that it can hold (beside `save`)
     LOSES            what saving loses, one sentence (beside `save`)
-    TOLERANCE        how much of each number, if it has both
+    TOLERANCE        how far each number may be from the saved one, if it has both
 
-`tests/contracts/test_formats.py` holds each format to them.
+A reader may raise anything on a damaged file: `load` and `comments` here turn it into a `FormatError`.
+`tests/contracts/test_formats.py` holds each format to this.
 """
 
 import warnings
@@ -19,10 +20,11 @@ import jax
 import numpy as np
 
 from splatax.errors import FormatError
-from splatax.gaussians import Gaussians
+from splatax.gaussians import Gaussians, broken, checked
 from splatax.io.formats import compressed_ply, glb, ksplat, ply, sog, sog_folder, splat, spz
 from splatax.io.formats.marks import MIP as MIP
 from splatax.io.formats.marks import mark as mark
+from splatax.io.formats.untrusted import structured
 
 FORMATS: dict[str, ModuleType] = {
     ".ply": ply,
@@ -37,34 +39,44 @@ FORMATS: dict[str, ModuleType] = {
 
 
 def load(path: str | Path) -> Gaussians:
-    """Reads a splat file.
+    """Reads a splat file. All arrays of the result have one number of rows.
 
     Raises:
-        FormatError: if it is missing, of no known format, or not what its suffix says.
+        FormatError: if the file is missing, of no known format, damaged, or not what its suffix says.
     """
-    return _readable(Path(path)).load(Path(path))
+    path = Path(path)
+    module = _readable(path)
+    with structured(path, path.suffix):
+        return checked(module.load(path))
 
 
 def comments(path: str | Path) -> tuple[str, ...]:
-    """The lines that are kept with a scene, such as `MIP`.
+    """Returns the lines that are kept with a scene, such as `MIP`.
 
     Raises:
         FormatError: as `load`.
     """
-    return _readable(Path(path)).comments(Path(path))
+    path = Path(path)
+    module = _readable(path)
+    with structured(path, path.suffix):
+        return module.comments(path)
 
 
-def save(path: str | Path, gaussians: Gaussians, *, comments: tuple[str, ...] = (), **options: Any) -> None:
+def save(path: str | Path, gaussians: Gaussians, *, comments: tuple[str, ...] = (), **options: Any) -> int:
     """Writes a splat file, whole or not at all: a crash leaves the old file as it was.
 
-    Empty slots are left out. So are Gaussians that are not finite, with a warning that counts them.
+    Empty slots are left out. So are broken Gaussians (`splatax.gaussians.broken`), with a warning
+    that counts them.
 
     Args:
-        path: the suffix tells the format.
+        path: the suffix decides the format.
         gaussians: the scene.
         comments: lines to keep with it, where the format can; `MIP` is kept by all that have a
             place for it.
         options: of the format itself, such as `version=4` of .spz.
+
+    Returns:
+        How many Gaussians were written.
 
     Raises:
         FormatError: if no format has this suffix, or it cannot hold the scene.
@@ -80,11 +92,13 @@ def save(path: str | Path, gaussians: Gaussians, *, comments: tuple[str, ...] = 
             f"{path}: this format holds SH up to degree {module.MAX_SH_DEGREE}, and the scene has degree "
             f"{gaussians.sh_degree}. Reduce it (--sh-degree {module.MAX_SH_DEGREE}), or choose .ply or .spz."
         )
-    module.save(path, _written(path, gaussians), comments=comments, **options)
+    written = _written(path, gaussians)
+    module.save(path, written, comments=comments, **options)
+    return len(written)
 
 
 def format_of(path: Path) -> ModuleType:
-    """The module for a file's suffix, the longest that fits.
+    """Returns the module for a file's suffix, the longest that fits.
 
     Raises:
         FormatError: if none does.
@@ -99,7 +113,7 @@ def format_of(path: Path) -> ModuleType:
 
 
 def suffixes(ability: str) -> list[str]:
-    """Of the formats that have a function of this name."""
+    """Returns the suffixes of the formats that have a function of this name."""
     return [suffix for suffix, module in FORMATS.items() if hasattr(module, ability)]
 
 
@@ -113,13 +127,9 @@ def _readable(path: Path) -> ModuleType:
 
 
 def _written(path: Path, gaussians: Gaussians) -> Gaussians:
-    """Those to write, as NumPy sees them. A scale of zero (-inf) is flat, not broken: readers know it."""
-    log_scales = np.asarray(gaussians.log_scales)
-    finite = np.all(np.isfinite(log_scales) | np.isneginf(log_scales), axis=1)
-    for leaf in (gaussians.means, gaussians.quats, gaussians.opacity_logits, gaussians.sh):
-        finite &= np.isfinite(np.asarray(leaf).reshape(len(gaussians), -1)).all(axis=1)
-    empty = np.isneginf(np.asarray(gaussians.opacity_logits))
-    if broken := int(np.sum(~finite & ~empty)):
-        warnings.warn(f"{path}: left out {broken:,} Gaussians that are not finite", stacklevel=3)
-    keep = finite & ~empty
+    """Returns the Gaussians to write: all but broken ones and empty slots."""
+    wrong, empty = broken(gaussians), np.isneginf(np.asarray(gaussians.opacity_logits))
+    if count := int(np.sum(wrong & ~empty)):
+        warnings.warn(f"{path}: left out {count:,} Gaussians that are not finite", stacklevel=3)
+    keep = ~wrong & ~empty
     return gaussians if keep.all() else jax.tree.map(lambda leaf: leaf[keep], gaussians)

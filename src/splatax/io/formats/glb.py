@@ -17,12 +17,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from splatax.gaussians import Gaussians
+from splatax.gaussians import Gaussians, checked
 from splatax.io.files import write_whole
 from splatax.io.formats import glb_scene, packing
 from splatax.io.formats.glb_scene import EXTENSION
 from splatax.io.formats.tolerance import Tolerance
-from splatax.io.formats.untrusted import structured
 from splatax.math import harmonics
 from splatax.transforms import half_turn
 
@@ -41,23 +40,23 @@ def load(path: Path) -> Gaussians:
     Raises:
         FormatError: if it is damaged, or has none.
     """
-    with structured(path, "glb"):
-        gltf, buffer = glb_scene.chunks(path)
-        parts = [
-            place.transform(_gaussians(glb_scene.accessors(path, gltf, buffer, primitive)))
-            for primitive, place in glb_scene.splats(path, gltf)
-        ]
-        most = max(part.sh.shape[1] for part in parts)
-        padding = [((0, 0), (0, most - part.sh.shape[1]), (0, 0)) for part in parts]
-        parts = [replace(part, sh=jnp.pad(part.sh, p)) for part, p in zip(parts, padding, strict=True)]
-        return half_turn(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts), axis=2)
+    gltf, buffer = glb_scene.chunks(path)
+    found = glb_scene.splats(path, gltf)
+    glb_scene.check_repetition(path, gltf, buffer, [primitive for primitive, _ in found])
+    parts = [
+        place.transform(_gaussians(glb_scene.accessors(path, gltf, buffer, primitive)))
+        for primitive, place in found
+    ]
+    most = max(part.sh.shape[1] for part in parts)
+    padding = [((0, 0), (0, most - part.sh.shape[1]), (0, 0)) for part in parts]
+    parts = [replace(part, sh=jnp.pad(part.sh, p)) for part, p in zip(parts, padding, strict=True)]
+    return half_turn(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts), axis=2)
 
 
 def comments(path: Path) -> tuple[str, ...]:
-    """The lines that `save` kept in the file's extras."""
-    with structured(path, "glb"):
-        asset = glb_scene.chunks(path)[0].get("asset", {})
-        return tuple(str(line) for line in asset.get("extras", {}).get("comments", ()))
+    """Returns the lines that `save` kept in the file's extras."""
+    asset = glb_scene.chunks(path)[0].get("asset", {})
+    return tuple(str(line) for line in asset.get("extras", {}).get("comments", ()))
 
 
 def save(path: Path, gaussians: Gaussians, *, comments: tuple[str, ...] = ()) -> None:
@@ -141,10 +140,11 @@ def _gaussians(attributes: dict[str, np.ndarray]) -> Gaussians:
         log_scales = np.log(attributes[f"{EXTENSION}:SCALE"])
     opacities = attributes[f"{EXTENSION}:OPACITY"][:, 0].astype(np.float64)
     opacities = np.clip(opacities, 1e-7, 1 - 1e-7)  # a logit must stay finite
-    return Gaussians(
+    gaussians = Gaussians(
         means=jnp.asarray(attributes["POSITION"]),
         quats=jnp.asarray(attributes[f"{EXTENSION}:ROTATION"][:, [3, 0, 1, 2]]),
         log_scales=jnp.asarray(log_scales),
         opacity_logits=jnp.asarray(np.log(opacities / (1 - opacities)), jnp.float32),
         sh=jnp.asarray(np.stack(coefficients, axis=1)),
     )
+    return checked(gaussians)

@@ -6,17 +6,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from splatax.errors import FormatError
-from splatax.io.formats.untrusted import Cursor
+from splatax.errors import FormatError, shown
+from splatax.io.formats.untrusted import ALWAYS_ALLOWED, Cursor
 from splatax.transforms import Similarity
 
 EXTENSION = "KHR_gaussian_splatting"
 PREFIXES = ("POSITION", f"{EXTENSION}:")
 TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
-MAX_NODES = 10_000  # that are visited: nodes may not form a circle, but a damaged file's may
+MAX_NODES = 10_000  # nodes that are visited: they may not form a circle, but a damaged file's may
+MAX_REPETITION = 16  # times that a file's nodes may repeat its splats, in the mean
+SMALLEST_ROW = 4 * (3 + 4 + 3 + 1 + 3)  # bytes of a Gaussian of SH degree 0, in memory
 
 
 def chunks(path: Path) -> tuple[dict[str, Any], bytes]:
@@ -55,7 +56,7 @@ def splats(path: Path, gltf: dict[str, Any]) -> list[tuple[dict[str, Any], Simil
             if (own := primitive.get("extensions", {}).get(EXTENSION)) is None:
                 continue
             if own.get("extensions") or f"{EXTENSION}:SCALE" not in primitive["attributes"]:
-                names = ", ".join(own.get("extensions", {})) or "an unknown extension"
+                names = shown(", ".join(own.get("extensions", {}))) or "an unknown extension"
                 raise FormatError(
                     f"{path}: its splats are compressed ({names}), which splatax does not read."
                 )
@@ -68,12 +69,40 @@ def splats(path: Path, gltf: dict[str, Any]) -> list[tuple[dict[str, Any], Simil
 def accessors(
     path: Path, gltf: dict[str, Any], buffer: bytes, primitive: dict[str, Any]
 ) -> dict[str, np.ndarray]:
-    """The arrays of a primitive's attributes that splats are made of, as float32 of n rows."""
-    return {
+    """Returns the arrays of a primitive's attributes that splats are made of, as float32 of n rows.
+
+    Raises:
+        FormatError: if they have different numbers of rows, or reach beyond the buffer.
+    """
+    arrays = {
         name: _accessor(path, gltf, buffer, gltf["accessors"][index])
         for name, index in primitive["attributes"].items()
         if name.startswith(PREFIXES)
     }
+    count = len(arrays["POSITION"])
+    for name, rows in arrays.items():
+        if len(rows) != count:
+            raise FormatError(
+                f"{path}: damaged: {shown(name)} has {len(rows):,} rows, but POSITION has {count:,}. All "
+                "attributes of its splats must have the same number. Get the file again."
+            )
+    return arrays
+
+
+def check_repetition(
+    path: Path, gltf: dict[str, Any], buffer: bytes, primitives: list[dict[str, Any]]
+) -> None:
+    """Refuses a file whose nodes repeat its splats so often that no memory would be enough.
+
+    Raises:
+        FormatError: if they do.
+    """
+    counts = [gltf["accessors"][primitive["attributes"]["POSITION"]]["count"] for primitive in primitives]
+    if SMALLEST_ROW * sum(counts) > max(ALWAYS_ALLOWED, MAX_REPETITION * len(buffer)):
+        raise FormatError(
+            f"{path}: damaged: its nodes ask for {sum(counts):,} Gaussians, far more than the "
+            f"{len(buffer):,} bytes of the file hold. Get the file again."
+        )
 
 
 def _nodes(path: Path, gltf: dict[str, Any]) -> Iterator[tuple[dict[str, Any], Similarity]]:
@@ -99,6 +128,8 @@ def _place(node: dict[str, Any]) -> Similarity:
     scales = np.array(node.get("scale", (1, 1, 1)), np.float64)
     if not np.allclose(scales, scales[0]):
         raise ValueError(f"a node is scaled by {scales.tolist()}, not by the same along all axes")
+    from scipy.spatial.transform import Rotation
+
     rotation = Rotation.from_quat(node.get("rotation", (0, 0, 0, 1))).as_matrix()
     return Similarity(rotation, np.array(node.get("translation", (0, 0, 0)), np.float64), float(scales[0]))
 

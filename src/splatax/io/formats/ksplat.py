@@ -125,7 +125,7 @@ def _section(cursor: Cursor, section: Section, level: int, sh_range: tuple[float
         higher = np.float32(sh_range[0]) + higher / 255 * np.float32(sh_range[1] - sh_range[0])
     sh = np.zeros((section.count, harmonics.count(degree), 3), np.float32)
     sh[:, :1] = dc
-    for band in range(1, section.degree + 1):
+    for band in range(1, min(section.degree, degree) + 1):  # an empty section may have a degree of its own
         first, last = band**2, (band + 1) ** 2
         channels = higher[:, 3 * (first - 1) : 3 * (last - 1)].reshape(section.count, 3, last - first)
         sh[:, first:last] = channels.transpose(0, 2, 1)

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from splatax.errors import FormatError
+from splatax.errors import FormatError, shown
+from splatax.io.damage import blamed_on
 from splatax.io.files import write_whole
 
 TYPES = {
@@ -45,17 +46,19 @@ def read(path: Path) -> PlyTable:
                 break
             if not fields:
                 continue
-            dtype = np.dtype([(column, ENDIANNESS[form] + kind) for column, kind in fields])
+            dtype = np.dtype([(column, ENDIANNESS[form] + kind) for column, kind in fields.items()])
             if form == "ascii":
                 if len(fields) * count > remaining:  # not even a digit for each number
-                    raise FormatError(f"{path}: truncated: {count:,} {name} rows do not fit in this file.")
+                    raise FormatError(
+                        f"{path}: truncated: {count:,} {shown(name)} rows do not fit in this file."
+                    )
                 elements[name] = _read_text(path, file, name, count, dtype)
                 continue
             remaining -= count * dtype.itemsize
             if remaining < 0:
                 raise FormatError(
-                    f"{path}: truncated: {-remaining:,} bytes of its {count:,} {name} rows are missing. "
-                    "Copy the file again."
+                    f"{path}: truncated: {-remaining:,} bytes of its {count:,} {shown(name)} rows are "
+                    "missing. Copy the file again."
                 )
             elements[name] = np.frombuffer(file.read(count * dtype.itemsize), dtype)
     return PlyTable(comments, elements)
@@ -83,10 +86,10 @@ def _header_of(path: Path, beginning: bytes) -> tuple[list[str], int]:
 
 
 def _parse(path: Path, lines: list[str]):
-    """(form, comments, [(element, count, [(property, type)], or None where it has lists)])."""
+    """(form, comments, [(element, count, {property: type}, or None where it has lists)])."""
     form = ""
     comments: list[str] = []
-    layout: list[tuple[str, int, list[tuple[str, str]] | None]] = []
+    layout: list[tuple[str, int, dict[str, str] | None]] = []
     for line in lines:
         match line.split():
             case ["format", form, _]:
@@ -94,28 +97,26 @@ def _parse(path: Path, lines: list[str]):
             case ["comment", *words]:
                 comments.append(" ".join(words))
             case ["element", name, count] if count.isdecimal() and len(count) < 19:
-                layout.append((name, int(count), []))
+                layout.append((name, int(count), {}))
             case ["property", "list", *_] if layout:
                 layout[-1] = (layout[-1][0], layout[-1][1], None)
             case ["property", kind, name] if layout and kind in TYPES:
                 if (fields := layout[-1][2]) is not None:
-                    if name in dict(fields):
-                        raise FormatError(f"{path}: not a valid PLY header: two properties {name!r}.")
-                    fields.append((name, TYPES[kind]))
+                    if name in fields:
+                        raise FormatError(f"{path}: not a valid PLY header: two properties {shown(name)}.")
+                    fields[name] = TYPES[kind]
             case [] | ["obj_info", *_]:
                 pass
             case _:
-                raise FormatError(f"{path}: not a valid PLY header: {line!r}.")
+                raise FormatError(f"{path}: not a valid PLY header: {shown(line)}.")
     if form not in ENDIANNESS:
-        raise FormatError(f"{path}: PLY format {form!r} is unknown: expected {', '.join(ENDIANNESS)}.")
+        raise FormatError(f"{path}: PLY format {shown(form)} is unknown: expected {', '.join(ENDIANNESS)}.")
     return form, tuple(comments), layout
 
 
 def _read_text(path: Path, file, name: str, count: int, dtype: np.dtype) -> np.ndarray:
-    try:
+    with blamed_on(path, f"its {shown(name)} rows cannot be read", "Get the file again.", FormatError):
         rows = np.loadtxt(file, dtype, max_rows=count, ndmin=1) if count else np.zeros(0, dtype)
-    except ValueError as error:
-        raise FormatError(f"{path}: its {name} rows cannot be read ({error}).") from error
     if len(rows) < count:
-        raise FormatError(f"{path}: truncated: {len(rows):,} of its {count:,} {name} rows are there.")
+        raise FormatError(f"{path}: truncated: {len(rows):,} of its {count:,} {shown(name)} rows are there.")
     return rows

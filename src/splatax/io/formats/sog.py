@@ -19,7 +19,6 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, UInt8
-from PIL import Image
 
 from splatax.errors import FormatError
 from splatax.gaussians import Gaussians
@@ -27,7 +26,7 @@ from splatax.io.files import write_whole
 from splatax.io.formats import packing
 from splatax.io.formats.marks import MIP
 from splatax.io.formats.tolerance import Tolerance
-from splatax.io.formats.untrusted import check_expansion, structured
+from splatax.io.formats.untrusted import check_expansion
 from splatax.math import clusters, harmonics, morton
 
 META = "meta.json"
@@ -85,6 +84,8 @@ class Folder:
         Raises:
             FormatError: if it has fewer, or absurdly many.
         """
+        from PIL import Image
+
         contents = self.read(name, 4 * pixels + MAX_META)
         check_expansion(self.path, 4 * pixels * TEXTURES, max(self.stored, len(contents)))
         with Image.open(io.BytesIO(contents), formats=("WEBP", "PNG")) as image:
@@ -102,41 +103,39 @@ def load(path: Path) -> Gaussians:
     Raises:
         FormatError: if it is neither, or damaged.
     """
-    with structured(path, "SOG"):
-        folder = Folder(path)
-        meta = folder.meta()
-        count = int(meta["count"])
-        if count < 1:
-            raise FormatError(f"{path}: damaged: {count} Gaussians.")
+    folder = Folder(path)
+    meta = folder.meta()
+    count = int(meta["count"])
+    if count < 1:
+        raise FormatError(f"{path}: damaged: {count} Gaussians.")
 
-        def texture(part: str, index: int = 0) -> np.ndarray:
-            return folder.texture(meta[part]["files"][index], count)
+    def texture(part: str, index: int = 0) -> np.ndarray:
+        return folder.texture(meta[part]["files"][index], count)
 
-        low, high = (texture("means", i)[:, :3].astype(np.uint16) for i in (0, 1))
-        mins, maxs = (np.array(meta["means"][key], np.float64).reshape(3) for key in ("mins", "maxs"))
-        logs = mins + (maxs - mins) * ((high << 8 | low) / 65535)
-        quats, color = texture("quats"), texture("sh0")
-        others = (quats[:, :3].astype(np.float32) / 255 * 2 - 1) * packing.SQRT_HALF
-        largest = quats[:, 3].astype(int) - LARGEST_ROTATION
-        if largest.min() < 0:
-            raise FormatError(f"{path}: damaged: its rotations are not those of a SOG file.")
-        dc = _codes(meta["sh0"])[color[:, :3]]
-        rest = _palette(folder, meta["shN"], count) if "shN" in meta else np.zeros((count, 0, 3), np.float32)
-        return Gaussians(
-            means=jnp.asarray(np.sign(logs) * np.expm1(np.abs(logs)), jnp.float32),
-            quats=jnp.asarray(packing.from_smallest_three(largest, others)),
-            log_scales=jnp.asarray(_codes(meta["scales"])[texture("scales")[:, :3]]),
-            opacity_logits=jnp.asarray(packing.opacity_logits(color[:, 3])),
-            sh=jnp.asarray(np.concatenate([dc[:, None], rest], axis=1)),
-        )
+    low, high = (texture("means", i)[:, :3].astype(np.uint16) for i in (0, 1))
+    mins, maxs = (np.array(meta["means"][key], np.float64).reshape(3) for key in ("mins", "maxs"))
+    logs = mins + (maxs - mins) * ((high << 8 | low) / 65535)
+    quats, color = texture("quats"), texture("sh0")
+    others = (quats[:, :3].astype(np.float32) / 255 * 2 - 1) * packing.SQRT_HALF
+    largest = quats[:, 3].astype(int) - LARGEST_ROTATION
+    if largest.min() < 0:
+        raise FormatError(f"{path}: damaged: its rotations are not those of a SOG file.")
+    dc = _codes(meta["sh0"])[color[:, :3]]
+    rest = _palette(folder, meta["shN"], count) if "shN" in meta else np.zeros((count, 0, 3), np.float32)
+    return Gaussians(
+        means=jnp.asarray(np.sign(logs) * np.expm1(np.abs(logs)), jnp.float32),
+        quats=jnp.asarray(packing.from_smallest_three(largest, others)),
+        log_scales=jnp.asarray(_codes(meta["scales"])[texture("scales")[:, :3]]),
+        opacity_logits=jnp.asarray(packing.opacity_logits(color[:, 3])),
+        sh=jnp.asarray(np.concatenate([dc[:, None], rest], axis=1)),
+    )
 
 
 def comments(path: Path) -> tuple[str, ...]:
     """The lines that `save` kept, and the mark of antialiasing, whoever made it."""
-    with structured(path, "SOG"):
-        meta = Folder(path).meta()
-        lines = [str(line) for line in (meta.get("extras") or {}).get("comments", ())]
-        return tuple(dict.fromkeys([*lines, *([MIP] if meta.get("antialias") else [])]))
+    meta = Folder(path).meta()
+    lines = [str(line) for line in (meta.get("extras") or {}).get("comments", ())]
+    return tuple(dict.fromkeys([*lines, *([MIP] if meta.get("antialias") else [])]))
 
 
 def save(path: Path, gaussians: Gaussians, *, comments: tuple[str, ...] = ()) -> None:
@@ -233,6 +232,8 @@ def _square(values: np.ndarray) -> np.ndarray:
 
 def _webp(pixels: np.ndarray) -> bytes:
     """Lossless, with the colours under transparent pixels kept. (More effort saves nothing.)"""
+    from PIL import Image
+
     file = io.BytesIO()
     Image.fromarray(pixels.astype(np.uint8)).save(
         file, "WEBP", lossless=True, exact=True, quality=75, method=4

@@ -20,7 +20,6 @@ from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
-import zstandard
 from jaxtyping import UInt8
 
 from splatax.errors import FormatError
@@ -63,11 +62,15 @@ class Header:
     streams: int  # or reserved, before version 4
     contents: int = 0  # offset of the table of contents in version 4
 
-    def sizes(self) -> list[int]:
-        """Bytes of positions, alphas, colours, scales, rotations and SH."""
+    def row_sizes(self) -> tuple[int, ...]:
+        """Returns the bytes of one Gaussian's position, alpha, colour, scales, rotation and SH."""
         rest = 3 * (harmonics.count(self.degree) - 1)
         position, rotation = 6 if self.version == 1 else 9, 4 if self.version >= 3 else 3
-        return [self.count * size for size in (position, 1, 3, 3, rotation, rest)]
+        return position, 1, 3, 3, rotation, rest
+
+    def sizes(self) -> list[int]:
+        """Returns the bytes of all positions, alphas, colours, scales, rotations and SH."""
+        return [self.count * size for size in self.row_sizes()]
 
 
 def load(path: Path) -> Gaussians:
@@ -119,6 +122,8 @@ def save(
         packed = gzip.compress(HEADER.pack(*fields, 0) + b"".join(streams), 9, mtime=0)
     elif version == 4:
         streams = [stream for stream in streams if stream]
+        import zstandard
+
         parts = [zstandard.compress(stream, 19) for stream in streams]
         table = b"".join(struct.pack("<QQ", len(p), len(s)) for p, s in zip(parts, streams, strict=True))
         packed = HEADER_4.pack(*fields, len(parts), HEADER_4.size) + table + b"".join(parts)
@@ -160,10 +165,12 @@ def _streams(path: Path, contents: bytes, header: Header) -> list[UInt8[np.ndarr
         if len(body) > limit - HEADER.size:
             raise FormatError(f"{path}: damaged: more data than its {header.count:,} Gaussians need.")
     cursor = Cursor(path, body)
-    return [cursor.take("Gaussians", "u1", header.count, size // max(header.count, 1)) for size in sizes]
+    return [cursor.take("Gaussians", "u1", header.count, size) for size in header.row_sizes()]
 
 
 def _zstandard_streams(path: Path, contents: bytes, header: Header, sizes: list[int]) -> list[bytes]:
+    import zstandard
+
     cursor = Cursor(path, contents, header.contents)
     table = cursor.take("table of contents", "<u8", header.streams, 2).astype(object)
     if list(table[:, 1]) != sizes or header.contents < HEADER_4.size:
@@ -206,7 +213,7 @@ def _decode(header: Header, positions, alphas, colors, scales, rotations, sh) ->
         quats=jnp.asarray(quats[:, [3, 0, 1, 2]]),
         log_scales=jnp.asarray(scales.astype(np.float32) / 16 - 10),
         opacity_logits=jnp.asarray(packing.opacity_logits(alphas[:, 0])),
-        sh=jnp.asarray(np.concatenate([dc[:, None], levels.reshape(n, -1, 3)], axis=1)),
+        sh=jnp.asarray(np.concatenate([dc[:, None], levels.reshape(n, levels.shape[1] // 3, 3)], axis=1)),
     )
 
 

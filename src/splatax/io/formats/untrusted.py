@@ -1,14 +1,14 @@
-"""Bytes that anybody may have made: what a file claims is checked before memory is asked for."""
+"""Reading bytes that anybody may have made: a file's claims are checked before memory is allocated."""
 
 import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from splatax.errors import FormatError, InputError
+from splatax.errors import FormatError
+from splatax.io.damage import blamed_on
 
 MAX_EXPANSION = 1024  # times the file's size; about what deflate can reach
 ALWAYS_ALLOWED = 64 << 20  # bytes that even a tiny file may unpack to
@@ -16,22 +16,22 @@ ALWAYS_ALLOWED = 64 << 20  # bytes that even a tiny file may unpack to
 
 @dataclass
 class Cursor:
-    """Takes arrays from a file's bytes, one after the other."""
+    """Takes arrays from the bytes of a file, one after the other."""
 
     path: Path
     contents: bytes
     at: int = 0
 
     def take(self, what: str, dtype: str, *shape: int) -> np.ndarray:
-        """The next array, a view of the bytes.
+        """Returns the next array, a view of the bytes.
 
         Args:
-            what: names it in the error.
-            dtype: of NumPy, with its byte order.
-            shape: of the array.
+            what: name of the array, for the error message.
+            dtype: NumPy's type code, with its byte order.
+            shape: shape of the array.
 
         Raises:
-            FormatError: if the file ends before it does.
+            FormatError: if the file ends before the array does.
         """
         count = int(np.prod([int(n) for n in shape], dtype=object))
         missing = self.at + count * np.dtype(dtype).itemsize - len(self.contents)
@@ -45,10 +45,10 @@ class Cursor:
 
 
 def check_expansion(path: Path, unpacked: int, stored: int) -> None:
-    """Refuses what would unpack to far more than any real scene does.
+    """Refuses a file that would unpack to far more than any real scene does.
 
     Raises:
-        FormatError: if it would.
+        FormatError: if the file would.
     """
     if unpacked > max(ALWAYS_ALLOWED, MAX_EXPANSION * stored):
         raise FormatError(
@@ -74,17 +74,6 @@ def inflate(path: Path, contents: bytes, limit: int) -> bytes:
     return unpacked
 
 
-@contextmanager
-def structured(path: Path, kind: str) -> Iterator[None]:
-    """Where a file's own structure (JSON, zip, images) is followed, a wrong turn is a `FormatError`."""
-    try:
-        yield
-    except (InputError, MemoryError):
-        raise
-    except OSError as error:
-        if error.errno is not None:  # of the file system: not the file's fault
-            raise
-        raise FormatError(f"{path}: not a valid {kind} file ({error}).") from error
-    except Exception as error:
-        reason = f"{type(error).__name__}: {error}".splitlines()[0]
-        raise FormatError(f"{path}: not a valid {kind} file ({reason}).") from error
+def structured(path: Path, kind: str) -> AbstractContextManager[None]:
+    """Turns whatever a reader raises while it follows a file's own structure into a `FormatError`."""
+    return blamed_on(path, f"not a valid {kind} file", "Get the file again.", FormatError)

@@ -1,0 +1,49 @@
+"""One wrapper for all readers: whatever a damaged file makes the code beneath it raise is one error."""
+
+import errno
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from splatax.errors import InputError, shown
+
+
+@contextmanager
+def blamed_on(path: Path, what: str, way_out: str, kind: type[InputError]) -> Iterator[None]:
+    """Turns exceptions into an error that names the file.
+
+    Two kinds of exceptions pass as they are: the error that is asked for, which says more, and an `OSError`
+    of the file system, which is not the file's fault. The latter gets the file's name if it has none.
+
+    Args:
+        path: the file that is read.
+        what: the sentence about it, such as "the photo is damaged". The reason follows in parentheses.
+        way_out: a sentence, such as "Copy it again."
+        kind: the error to raise.
+
+    Raises:
+        InputError: of the given kind.
+    """
+    try:
+        yield
+    except kind:
+        raise
+    except OSError as error:
+        if _of_the_file_system(error):
+            error.filename = error.filename or str(path)
+            raise
+        raise kind(f"{path}: {what} ({reason_of(error)}). {way_out}") from error
+    except Exception as error:
+        raise kind(f"{path}: {what} ({reason_of(error)}). {way_out}") from error
+
+
+def reason_of(error: Exception) -> str:
+    """Returns an exception's message as one short line, with its kind where the message alone says little."""
+    first = next((line for line in str(error).splitlines() if line.strip()), "").strip().rstrip(".")
+    tells = isinstance(error, OSError | ValueError | RuntimeError | MemoryError) and first
+    return shown(first if tells else f"{type(error).__name__}: {first}".removesuffix(": "))
+
+
+def _of_the_file_system(error: OSError) -> bool:
+    """EINVAL is the file's fault: its own offsets, followed by a seek, lead before its beginning."""
+    return error.errno not in (None, errno.EINVAL)

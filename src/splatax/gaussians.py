@@ -80,14 +80,23 @@ def checked(gaussians: Gaussians) -> Gaussians:
     return gaussians
 
 
-def broken(gaussians: Gaussians) -> Bool[np.ndarray, " n"]:
-    """Returns which Gaussians are broken: NaN anywhere, or infinite where that means nothing.
+def is_sound(
+    mean: Float[Array, "3"],
+    quat: Float[Array, "4"],
+    log_scale: Float[Array, "3"],
+    logit: Float[Array, ""],
+    sh: Float[Array, "k 3"],
+) -> Bool[Array, ""]:
+    """Returns whether a Gaussian can be drawn, as far as its numbers tell: none may be NaN, and few infinite.
 
-    Three infinite numbers do mean something. A log scale of -inf is a flat Gaussian, an opacity logit of
-    +inf a fully opaque one, and an opacity logit of -inf an empty slot.
+    Three infinite numbers mean something. A log scale of -inf is a flat Gaussian, an opacity logit of +inf a
+    fully opaque one, and an opacity logit of -inf an empty slot.
     """
-    log_scales, logits = np.asarray(gaussians.log_scales), np.asarray(gaussians.opacity_logits)
-    sound = np.all(np.isfinite(log_scales) | np.isneginf(log_scales), axis=1) & ~np.isnan(logits)
-    for leaf in (gaussians.means, gaussians.quats, gaussians.sh):
-        sound &= np.isfinite(np.asarray(leaf).reshape(len(gaussians), -1)).all(axis=1)
-    return ~sound
+    finite = jnp.all(jnp.isfinite(mean)) & jnp.all(jnp.isfinite(quat)) & jnp.all(jnp.isfinite(sh))
+    return finite & jnp.all(log_scale < jnp.inf) & ~jnp.isnan(logit)
+
+
+def broken(gaussians: Gaussians) -> Bool[np.ndarray, " n"]:
+    """Returns which Gaussians are not sound, see `is_sound`."""
+    fields = (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.opacity_logits, gaussians.sh)
+    return ~np.asarray(jax.vmap(is_sound)(*(jnp.asarray(field) for field in fields)))

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from splatax.camera import Camera
-from splatax.gaussians import Gaussians
+from splatax.gaussians import Gaussians, is_sound
 from splatax.math import ellipsoids, harmonics
 from splatax.splats import MIN_ALPHA, Splats
 
@@ -69,7 +69,7 @@ def project(gaussians: Gaussians, camera: Camera, low_pass: LowPass) -> Splats:
     """Projects all Gaussians to one view: the portable kernel, and the definition of what the others compute.
 
     A row is culled if the Gaussian is nearer than `NEAR`, more transparent than 1/255, beside the image, too
-    large for float32 or broken (see `is_sound`). Culled rows have zero extent and a zero gradient, and change
+    large for float32 or broken (see `gaussians.is_sound`). Culled rows have zero extent and a zero gradient, and change
     no gradient of the camera; their other numbers are finite.
 
     Args:
@@ -146,22 +146,6 @@ def project_one(
         jnp.maximum(jnp.where(usable, color, 0), 0),
         opacity,
     )
-
-
-def is_sound(
-    mean: Float[Array, "3"],
-    quat: Float[Array, "4"],
-    log_scale: Float[Array, "3"],
-    logit: Float[Array, ""],
-    sh: Float[Array, "k 3"],
-) -> Bool[Array, ""]:
-    """Returns whether a Gaussian can be drawn, as far as its numbers tell.
-
-    None may be NaN, and none infinite but for two that mean something: a log scale of -inf is flat, and an
-    opacity logit of +inf is opaque, of -inf an empty slot.
-    """
-    finite = jnp.all(jnp.isfinite(mean)) & jnp.all(jnp.isfinite(quat)) & jnp.all(jnp.isfinite(sh))
-    return finite & jnp.all(log_scale < jnp.inf) & ~jnp.isnan(logit)
 
 
 def perspective_jacobian(point: Float[Array, "3"], camera: Camera) -> Float[Array, "2 3"]:

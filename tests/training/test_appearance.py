@@ -8,8 +8,8 @@ from numpy.testing import assert_allclose
 
 import splatax as sx
 from splatax.rendering import over
-from splatax.training.appearance import Exposure, Neutral
-from splatax.training.density import Fixed
+from splatax.training.appearance import Exposure, NoAppearance
+from splatax.training.density import NoDensityControl
 from splatax.training.feed import Source
 from splatax.training.loop import optimize
 from training.test_training import RECIPE, capture
@@ -26,7 +26,9 @@ def exposed(dataset):
 
 
 def run(dataset, appearance):
-    recipe = replace(RECIPE, steps=300, density=Fixed(), appearance=appearance, sh_degree=0, backend="xla")
+    recipe = replace(
+        RECIPE, steps=300, density=NoDensityControl(), appearance=appearance, sh_degree=0, backend="xla"
+    )
     for progress in optimize(dataset, recipe):
         pass
     return progress
@@ -34,7 +36,7 @@ def run(dataset, appearance):
 
 def test_exposure_is_learned_and_the_scene_keeps_neutral_colours():
     dataset = exposed(capture())
-    plain, learned = run(dataset, Neutral()), run(dataset, Exposure(rate=0.02, rate_final=0.002))
+    plain, learned = run(dataset, NoAppearance()), run(dataset, Exposure(rate=0.02, rate_final=0.002))
     values = learned.state.train.appearance.values
     assert_allclose(jnp.mean(values, axis=0), 0, atol=1e-6)
     grey = np.asarray(values).reshape(5, 3, 4) @ np.array([0.5, 0.5, 0.5, 1.0])

@@ -13,7 +13,7 @@ from scenes import camera_at, random_gaussians
 from splatax.errors import DatasetError
 from splatax.evaluation import photo_of, picture
 from splatax.training.backgrounds import BACKGROUNDS, Solid
-from splatax.training.density import Classic, Fixed
+from splatax.training.density import Classic, NoDensityControl
 from splatax.training.initialize import FromPoints, InFrusta, focus_distance
 from splatax.training.optimizer import LearningRates, without_locked_bands
 from splatax.training.step import photo_over
@@ -104,7 +104,7 @@ def test_fit_drains_optimize(history):
 
 
 def test_a_scene_without_density_control_keeps_its_number():
-    assert run(capture(), replace(RECIPE, steps=25, density=Fixed()))[-1][2] == 80
+    assert run(capture(), replace(RECIPE, steps=25, density=NoDensityControl()))[-1][2] == 80
 
 
 @pytest.mark.parametrize("name", BACKGROUNDS)

@@ -32,10 +32,10 @@ from splatax.projection import LOW_PASSES
 from splatax.report.history import History
 from splatax.training.appearance import APPEARANCES
 from splatax.training.backgrounds import BACKGROUNDS
+from splatax.training.camera_refinement import CAMERA_REFINEMENTS
 from splatax.training.density import Classic
 from splatax.training.initialize import FromPoints, InFrusta
 from splatax.training.recipes import RECIPES, room_for
-from splatax.training.refinement import REFINEMENTS
 from splatax.viewer.server import LOCAL, PORT
 
 WATCHING = {"view", "host", "port"}
@@ -287,7 +287,7 @@ class Train:
             initialization=self.initialization(),
             background=BACKGROUNDS[self.background] if self.background else recipe.background,
             appearance=APPEARANCES[self.appearance],
-            refinement=REFINEMENTS[self.refine],
+            camera_refinement=CAMERA_REFINEMENTS[self.refine],
             low_pass=LOW_PASSES[self.low_pass],
             backend=resolve_backend(self.backend),
             seed=self.seed,

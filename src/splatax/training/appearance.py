@@ -6,13 +6,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from splatax.training import rows
+from splatax.training import per_photo
 from splatax.training.feed import Source
-from splatax.training.rows import Rows, Unlearned
+from splatax.training.per_photo import NoParameters, PerPhoto
 
 
 @dataclass(frozen=True)
-class Neutral(Unlearned):
+class NoAppearance(NoParameters):
     """All photos show the colours of the scene as they are."""
 
     def __call__(self, known: tuple[()], sums: Float[Array, "h w 3"], alpha: Float[Array, "h w"]):
@@ -32,11 +32,11 @@ class Exposure:
     rate: float = 0.01  # of Adam, at the start
     rate_final: float = 0.001  # at the end; log-linear between
 
-    def init(self, photos: int) -> Rows:
+    def init(self, photos: int) -> PerPhoto:
         """Identities: a row has D and d, [D | d] row by row."""
-        return rows.zeros(photos, 12)
+        return per_photo.zeros(photos, 12)
 
-    def of(self, state: Rows, source: Source) -> Float[Array, "12"]:
+    def of(self, state: PerPhoto, source: Source) -> Float[Array, "12"]:
         """The row of a photo."""
         return state.values[source.view]
 
@@ -53,13 +53,13 @@ class Exposure:
         )
 
     def update(
-        self, state: Rows, source: Source, gradient: Float[Array, "12"], progress: Float[Array, ""]
-    ) -> Rows:
+        self, state: PerPhoto, source: Source, gradient: Float[Array, "12"], progress: Float[Array, ""]
+    ) -> PerPhoto:
         """The state after a step."""
-        rate = rows.falling(self.rate, self.rate_final, progress)
-        state = rows.moved(state, source.view, gradient, rate)
-        return replace(state, values=rows.centred(state.values))
+        rate = per_photo.falling(self.rate, self.rate_final, progress)
+        state = per_photo.moved(state, source.view, gradient, rate)
+        return replace(state, values=per_photo.centred(state.values))
 
 
-Appearance = Neutral | Exposure
-APPEARANCES: dict[str, Appearance] = {"none": Neutral(), "exposure": Exposure()}
+Appearance = NoAppearance | Exposure
+APPEARANCES: dict[str, Appearance] = {"none": NoAppearance(), "exposure": Exposure()}

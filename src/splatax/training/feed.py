@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Int, UInt8
 
 from splatax.camera import Camera
 from splatax.dataset import Mask, Pixels, View
-from splatax.training.album import Album
+from splatax.training.photo_cache import PhotoCache
 from splatax.training.resolution import Resolution
 
 
@@ -57,7 +57,7 @@ def batches(
         resolution: of each step; the first batch is for step 1.
         room: for decoded photos, bytes.
     """
-    album = Album(views, room)
+    cache = PhotoCache(views, room)
     origin = sources(views)
     indices = islice(order(len(views), seed, start // len(views)), start % len(views), None)
     sizes = [(view.camera.width, view.camera.height) for view in views]
@@ -66,11 +66,11 @@ def batches(
     )
     with ThreadPoolExecutor(1) as reader:
         index, divisor = next(wanted)
-        coming = reader.submit(album.frame, index, divisor)
+        coming = reader.submit(cache.frame, index, divisor)
         while True:
             frame, here = coming.result(), (origin[index], divisor)
             index, divisor = next(wanted)
-            coming = reader.submit(album.frame, index, divisor)
+            coming = reader.submit(cache.frame, index, divisor)
             yield batch(*frame, *here)
 
 

@@ -124,7 +124,7 @@ def first_state(gaussians: Gaussians, recipe: Recipe, extent: float, photos: int
         opt_state=optimizer.ADAM.init(gaussians),
         density_state=recipe.density.init(len(gaussians)),
         appearance=recipe.appearance.init(photos),
-        cameras=recipe.refinement.init(photos),
+        cameras=recipe.camera_refinement.init(photos),
         key=key,
         extent=jnp.float32(extent),
         faults=Faults(jnp.int32(0), jnp.int32(0)),

@@ -14,7 +14,7 @@ FAINT = 0.005  # opacity at which it is half open
 
 
 @dataclass(frozen=True)
-class Still:
+class NoNoise:
     """No noise."""
 
     def __call__(
@@ -60,4 +60,4 @@ def _by_covariance(quat: Float[Array, "4"], scale: Float[Array, "3"], v: Float[A
     return factor @ (factor.T @ v)
 
 
-Noise = Still | Langevin
+Noise = NoNoise | Langevin

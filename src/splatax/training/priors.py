@@ -9,7 +9,7 @@ from splatax.gaussians import Gaussians
 
 
 @dataclass(frozen=True)
-class Indifferent:
+class NoPrior:
     """The photos decide alone."""
 
     def __call__(self, gaussians: Gaussians, extent: Float[Array, ""]) -> Float[Array, ""]:
@@ -33,4 +33,4 @@ class Sparsity:
         return self.opacity * opacity + self.scale * scale / extent
 
 
-Prior = Indifferent | Sparsity
+Prior = NoPrior | Sparsity

@@ -8,14 +8,14 @@ from splatax.backends.protocol import Kernels
 from splatax.dataset import Dataset
 from splatax.losses import Photometric
 from splatax.projection import Dilation, LowPass
-from splatax.training.appearance import Appearance, Neutral
+from splatax.training.appearance import Appearance, NoAppearance
 from splatax.training.backgrounds import Background, Random, Solid
+from splatax.training.camera_refinement import CameraRefinement, FixedCameras
 from splatax.training.density import ByStep, Classic, DensityStrategy, Mcmc
 from splatax.training.initialize import FromPoints, InFrusta
-from splatax.training.noise import Langevin, Noise, Still
+from splatax.training.noise import Langevin, Noise, NoNoise
 from splatax.training.optimizer import LearningRates
-from splatax.training.priors import Indifferent, Prior, Sparsity
-from splatax.training.refinement import Given, Refinement
+from splatax.training.priors import NoPrior, Prior, Sparsity
 from splatax.training.resolution import Resolution
 
 
@@ -26,12 +26,12 @@ class Recipe:
     steps: int = 30_000
     initialization: FromPoints | InFrusta = FromPoints()
     loss: Photometric = Photometric()
-    prior: Prior = Indifferent()
+    prior: Prior = NoPrior()
     learning_rates: LearningRates = LearningRates()
-    noise: Noise = Still()
+    noise: Noise = NoNoise()
     density: DensityStrategy = Classic()
-    appearance: Appearance = Neutral()
-    refinement: Refinement = Given()  # of the training cameras
+    appearance: Appearance = NoAppearance()
+    camera_refinement: CameraRefinement = FixedCameras()  # of the training cameras
     resolution: Resolution = Resolution()
     sh_degree: int = 3  # 0 to 4
     sh_every: int = 1_000  # steps after which the next band of spherical harmonics is free

@@ -88,7 +88,7 @@ def _train_step(
     learned = (
         recipe.density.observe(state.density_state, splats, d.splats),
         recipe.appearance.update(state.appearance, batch.source, d.look, progress),
-        recipe.refinement.update(state.cameras, batch.source, d.pose, progress, total),
+        recipe.camera_refinement.update(state.cameras, batch.source, d.pose, progress, total),
     )
     known = state.density_state, state.appearance, state.cameras
     density_state, appearance, cameras = jax.tree.map(partial(jnp.where, good), learned, known)
@@ -129,12 +129,12 @@ def compare(
     low_pass = replace(recipe.low_pass, variance=recipe.low_pass.variance / batch.divisor**2)
 
     def project_view(gaussians, pose):
-        camera = recipe.refinement(pose, batch.camera, state.extent)
+        camera = recipe.camera_refinement(pose, batch.camera, state.extent)
         splats = project(gaussians, camera, low_pass=low_pass, backend=kernels)
         return recipe.density.watch(splats), recipe.prior(gaussians, state.extent)
 
     look = recipe.appearance.of(state.appearance, batch.source)
-    pose = recipe.refinement.of(state.cameras, batch.source)
+    pose = recipe.camera_refinement.of(state.cameras, batch.source)
     (splats, prior), pull_back = jax.vjp(project_view, state.gaussians, pose)
     loss, (d_splats, d_look) = jax.value_and_grad(image_loss, argnums=(0, 1))(splats, look)
     d_gaussians, d_pose = pull_back((d_splats, jnp.ones_like(prior)))

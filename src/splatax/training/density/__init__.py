@@ -1,11 +1,11 @@
 """Density control: when and how the number of Gaussians changes."""
 
 from splatax.training.density.classic import Classic
-from splatax.training.density.fixed import Fixed
 from splatax.training.density.mcmc import ByFactor, ByStep, Mcmc
-from splatax.training.density.protocol import DensityStrategy, Lineage, Refinement
+from splatax.training.density.none import NoDensityControl
+from splatax.training.density.protocol import DensityStrategy, DensityUpdate, Lineage
 
-STRATEGIES = {"classic": Classic, "fixed": Fixed, "mcmc": Mcmc}
+STRATEGIES = {"classic": Classic, "none": NoDensityControl, "mcmc": Mcmc}
 
 __all__ = [
     "STRATEGIES",
@@ -13,8 +13,8 @@ __all__ = [
     "ByStep",
     "Classic",
     "DensityStrategy",
-    "Fixed",
+    "DensityUpdate",
     "Lineage",
     "Mcmc",
-    "Refinement",
+    "NoDensityControl",
 ]

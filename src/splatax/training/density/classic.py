@@ -19,7 +19,7 @@ from splatax.gaussians import Gaussians
 from splatax.math import ellipsoids
 from splatax.splats import Splats
 from splatax.training.capacity import bucket_for, with_empty_slots
-from splatax.training.density.protocol import Lineage, Refinement
+from splatax.training.density.protocol import DensityUpdate, Lineage
 
 
 class Observed(NamedTuple):
@@ -72,7 +72,7 @@ class Classic:
 
     def refine(
         self, state: Observed, gaussians: Gaussians, count: int, step: int, extent: float, key: PRNGKeyArray
-    ) -> Refinement:
+    ) -> DensityUpdate:
         lineage, state_rows = Lineage(jnp.arange(len(gaussians)), jnp.zeros(len(gaussians), bool)), state
         if self._densifies(step):
             parents, children = self._plan(state, gaussians, count, step, extent)
@@ -90,7 +90,7 @@ class Classic:
             highest = math.log(self.reset_opacity / (1 - self.reset_opacity))
             gaussians = replace(gaussians, opacity_logits=jnp.minimum(gaussians.opacity_logits, highest))
             lineage = replace(lineage, restarted=("opacity_logits",))
-        return Refinement(gaussians, count, lineage, state_rows)
+        return DensityUpdate(gaussians, count, lineage, state_rows)
 
     def _densifies(self, step: int) -> bool:
         return step > self.start and step % self.every == 0

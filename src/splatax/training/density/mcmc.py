@@ -16,9 +16,9 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from splatax.gaussians import Gaussians
 from splatax.splats import Splats
 from splatax.training.capacity import bucket_for, with_empty_slots
-from splatax.training.density.protocol import Lineage, Refinement
+from splatax.training.density.protocol import DensityUpdate, Lineage
 
-MOST_COPIES = 51  # that a Gaussian is replaced by at once (the authors' limit)
+MAX_COPIES = 51  # that a Gaussian is replaced by at once (the authors' limit)
 
 
 @dataclass(frozen=True)
@@ -69,12 +69,12 @@ class Mcmc:
 
     def refine(
         self, state: tuple[()], gaussians: Gaussians, count: int, step: int, extent: float, key: PRNGKeyArray
-    ) -> Refinement:
+    ) -> DensityUpdate:
         opacities = np.asarray(gaussians.opacities, np.float64)[:count]
         dead = opacities <= self.min_opacity
         if dead.all():  # nothing to move onto
             rows = len(gaussians)
-            return Refinement(gaussians, count, Lineage(jnp.arange(rows), jnp.zeros(rows, bool)), state)
+            return DensityUpdate(gaussians, count, Lineage(jnp.arange(rows), jnp.zeros(rows, bool)), state)
         grown = max(self.growth.after(count, step, self.every, self.max_gaussians), count)
         seekers = np.concatenate([np.flatnonzero(dead), np.arange(count, grown)])
         sources = in_proportion(np.where(dead, 0, opacities), len(seekers), key)
@@ -82,12 +82,12 @@ class Mcmc:
         parent = np.arange(bucket_for(grown, len(gaussians), self.max_gaussians))
         parent[seekers] = sources
         parent[grown:] = 0
-        shares = np.minimum(1 + np.bincount(sources, minlength=count), MOST_COPIES)
-        opacity, factor = shared(opacities, shares)
+        copies = np.minimum(1 + np.bincount(sources, minlength=count), MAX_COPIES)
+        opacity, factor = relocated(opacities, copies)
         opacity = np.clip(opacity, self.min_opacity, 1 - np.finfo(np.float32).eps)
-        newborn = (shares > 1)[parent]  # sources among them
+        newborn = (copies > 1)[parent]  # sources among them
         newborn[grown:] = True
-        return Refinement(
+        return DensityUpdate(
             _moved(
                 gaussians,
                 jnp.asarray(parent),
@@ -113,8 +113,8 @@ def in_proportion(weights: Float[np.ndarray, " n"], draws: int, key: PRNGKeyArra
     return np.minimum(index, np.flatnonzero(weights)[-1])
 
 
-def shared(
-    opacities: Float[np.ndarray, " n"], shares: Int[np.ndarray, " n"]
+def relocated(
+    opacities: Float[np.ndarray, " n"], copies: Int[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Opacity, and factor of the scales, of N Gaussians that look as one did (Kheradmand et al. 2024, Eq. 9).
 
@@ -126,18 +126,18 @@ def shared(
 
     Args:
         opacities: o.
-        shares: N, at most `MOST_COPIES`.
+        copies: N, at most `MAX_COPIES`.
     """
-    part = 1 - (1 - opacities) ** (1 / shares)
+    part = 1 - (1 - opacities) ** (1 / copies)
     total = np.zeros_like(opacities)
-    for j in range(1, int(shares.max(initial=1)) + 1):
-        choose = _BINOMIALS[shares, j]
+    for j in range(1, int(copies.max(initial=1)) + 1):
+        choose = _BINOMIALS[copies, j]
         total += choose * (-1) ** (j - 1) * part**j / math.sqrt(j)
-    return part, np.where(shares > 1, opacities / np.where(shares > 1, total, 1), 1)
+    return part, np.where(copies > 1, opacities / np.where(copies > 1, total, 1), 1)
 
 
 _BINOMIALS = np.array(
-    [[float(math.comb(n, j)) for j in range(MOST_COPIES + 1)] for n in range(MOST_COPIES + 1)]
+    [[float(math.comb(n, j)) for j in range(MAX_COPIES + 1)] for n in range(MAX_COPIES + 1)]
 )
 
 

@@ -27,7 +27,7 @@ class Lineage:
 
 
 @dataclass(frozen=True)
-class Refinement:
+class DensityUpdate:
     """A refined scene: the living Gaussians first, then empty slots."""
 
     gaussians: Gaussians
@@ -58,7 +58,7 @@ class DensityStrategy(Protocol):
 
     def refine(
         self, state: Any, gaussians: Gaussians, count: int, step: int, extent: float, key: PRNGKeyArray
-    ) -> Refinement:
+    ) -> DensityUpdate:
         """Adds and removes Gaussians. The same arguments give the same scene.
 
         Args:

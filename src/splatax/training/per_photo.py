@@ -14,7 +14,7 @@ FIRST, SECOND, EPSILON = 0.9, 0.999, 1e-15  # of Adam, as for Gaussians
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Rows:
+class PerPhoto:
     """A table, and what Adam remembers of each row.
 
     Attributes:
@@ -30,7 +30,7 @@ class Rows:
     visits: Int[Array, " photos"]
 
 
-class Unlearned:
+class NoParameters:
     """In place of what has a table: nothing is learned of a photo, and nothing is known."""
 
     def init(self, photos: int) -> tuple[()]:
@@ -46,15 +46,15 @@ class Unlearned:
         return state
 
 
-def zeros(photos: int, width: int) -> Rows:
+def zeros(photos: int, width: int) -> PerPhoto:
     """Before any step."""
     values, mean, square = (jnp.zeros((photos, width)) for _ in range(3))
-    return Rows(values, mean, square, jnp.zeros(photos, jnp.int32))
+    return PerPhoto(values, mean, square, jnp.zeros(photos, jnp.int32))
 
 
 def moved(
-    rows: Rows, index: Int[Array, ""] | np.int32, gradient: Float[Array, " width"], rate: Array
-) -> Rows:
+    rows: PerPhoto, index: Int[Array, ""] | np.int32, gradient: Float[Array, " width"], rate: Array
+) -> PerPhoto:
     """One step of Adam for one row; the others keep still.
 
     An Adam over the whole table would go on moving the rows of photos that are not looked at, by what
@@ -65,7 +65,7 @@ def moved(
     square = SECOND * rows.square[index] + (1 - SECOND) * gradient * gradient
     count = visits.astype(mean.dtype)
     step = mean / (1 - FIRST**count) / (jnp.sqrt(square / (1 - SECOND**count)) + EPSILON)
-    return Rows(
+    return PerPhoto(
         rows.values.at[index].add(-rate * step),
         rows.mean.at[index].set(mean),
         rows.square.at[index].set(square),

@@ -7,11 +7,11 @@ from jaxtyping import PRNGKeyArray
 
 from splatax.gaussians import Gaussians
 from splatax.splats import Splats
-from splatax.training.density.protocol import Refinement
+from splatax.training.density.protocol import DensityUpdate
 
 
 @dataclass(frozen=True)
-class Fixed:
+class NoDensityControl:
     """Leaves the number of Gaussians as it is."""
 
     def init(self, capacity: int) -> tuple[()]:
@@ -28,5 +28,5 @@ class Fixed:
 
     def refine(
         self, state: Any, gaussians: Gaussians, count: int, step: int, extent: float, key: PRNGKeyArray
-    ) -> Refinement:
+    ) -> DensityUpdate:
         raise AssertionError("never due")

@@ -10,7 +10,7 @@ from splatax.training.resolution import divided
 Frame = tuple[Camera, Pixels, Mask | None]
 
 
-class Album:
+class PhotoCache:
     """Frames by the index of their view and the divisor of their size.
 
     In random orders all photos are as likely to come next, so those that were kept first stay: to put

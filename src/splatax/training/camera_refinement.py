@@ -11,15 +11,15 @@ from jaxtyping import Array, Float
 from splatax.camera import Camera
 from splatax.dataset import View
 from splatax.math import rigid
-from splatax.training import rows
+from splatax.training import per_photo
 from splatax.training.feed import Source, sources
-from splatax.training.rows import Rows, Unlearned
+from splatax.training.per_photo import NoParameters, PerPhoto
 
 FALL = 0.01  # what the rates end at, of what they start at (as in gsplat)
 
 
 @dataclass(frozen=True)
-class Given(Unlearned):
+class FixedCameras(NoParameters):
     """Nothing: the cameras are as they were given."""
 
     def __call__(self, known: tuple[()], camera: Camera, extent: Float[Array, ""]) -> Camera:
@@ -39,11 +39,11 @@ class Poses:
 
     reach: float = 0.02  # how far a camera can go in a whole run: radians, and extents of the scene
 
-    def init(self, photos: int) -> Rows:
+    def init(self, photos: int) -> PerPhoto:
         """Cameras as they were given: a row has a rotation and a translation."""
-        return rows.zeros(photos, 6)
+        return per_photo.zeros(photos, 6)
 
-    def of(self, state: Rows, source: Source) -> Float[Array, "6"]:
+    def of(self, state: PerPhoto, source: Source) -> Float[Array, "6"]:
         """The twist of a photo's camera."""
         return state.values[source.view]
 
@@ -56,16 +56,16 @@ class Poses:
 
     def update(
         self,
-        state: Rows,
+        state: PerPhoto,
         source: Source,
         gradient: Float[Array, "6"],
         progress: Float[Array, ""],
         steps: Float[Array, ""],
-    ) -> Rows:
+    ) -> PerPhoto:
         """The state after a step of a run that has so many."""
         rate = rate_for(self.reach, steps / len(state.visits), progress)
-        state = rows.moved(state, source.view, gradient, rate)
-        return replace(state, values=rows.centred(state.values))
+        state = per_photo.moved(state, source.view, gradient, rate)
+        return replace(state, values=per_photo.centred(state.values))
 
 
 class Learned(NamedTuple):
@@ -85,7 +85,7 @@ class PosesAndFocal:
 
     def init(self, photos: int) -> Learned:
         """As given: a row has the logarithm of a factor. There are at most as many lenses as photos."""
-        return Learned(self.poses.init(photos), rows.zeros(photos, 1))
+        return Learned(self.poses.init(photos), per_photo.zeros(photos, 1))
 
     def of(self, state: Learned, source: Source) -> Learned:
         """The twist and the logarithm of the factor of a photo's camera."""
@@ -110,22 +110,26 @@ class PosesAndFocal:
         rate = rate_for(self.reach, steps / lenses, progress)
         return Learned(
             self.poses.update(state.poses, source, gradient.poses, progress, steps),
-            rows.moved(state.focals, source.lens, gradient.focals, rate),
+            per_photo.moved(state.focals, source.lens, gradient.focals, rate),
         )
 
 
-Refinement = Given | Poses | PosesAndFocal
-REFINEMENTS: dict[str, Refinement] = {"none": Given(), "poses": Poses(), "poses+focal": PosesAndFocal()}
+CameraRefinement = FixedCameras | Poses | PosesAndFocal
+CAMERA_REFINEMENTS: dict[str, CameraRefinement] = {
+    "none": FixedCameras(),
+    "poses": Poses(),
+    "poses+focal": PosesAndFocal(),
+}
 
 
 def rate_for(reach: float, visits: Float[Array, ""] | float, progress: Float[Array, ""]) -> Float[Array, ""]:
     """Of Adam, so that the steps of all visits together are as long as `reach`."""
     mean = (1 - FALL) / -math.log(FALL)  # of the rates over the run, to the first
-    return rows.falling(1.0, FALL, progress) * (reach / (mean * visits))
+    return per_photo.falling(1.0, FALL, progress) * (reach / (mean * visits))
 
 
 def refined(
-    refinement: Refinement, state: Any, views: tuple[View, ...], extent: Float[Array, ""]
+    refinement: CameraRefinement, state: Any, views: tuple[View, ...], extent: Float[Array, ""]
 ) -> tuple[View, ...]:
     """The training views of a run with their cameras as they are now thought to be.
 

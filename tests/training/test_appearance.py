@@ -10,8 +10,9 @@ import splatax as sx
 from splatax.rendering import over
 from splatax.training.appearance import Exposure, NoAppearance
 from splatax.training.density import NoDensityControl
-from splatax.training.feed import Source
 from splatax.training.loop import optimize
+from splatax.training.protocols import Source
+from splatax.training.recipes import ShSchedule
 from training.test_training import RECIPE, capture
 
 GAINS = (1.15, 0.7, 1.3, 0.85, 1.0)  # of the five training photos, unlike those of neighbours; mean 1
@@ -27,7 +28,7 @@ def exposed(dataset):
 
 def run(dataset, appearance):
     recipe = replace(
-        RECIPE, steps=300, density=NoDensityControl(), appearance=appearance, sh_degree=0, backend="xla"
+        RECIPE, steps=300, density=NoDensityControl(), appearance=appearance, sh=ShSchedule(0), backend="xla"
     )
     for progress in optimize(dataset, recipe):
         pass
@@ -57,5 +58,5 @@ def test_a_map_changes_the_scene_and_leaves_the_background():
 
 def test_a_lone_photo_has_the_colours_of_the_scene():
     exposure, source = Exposure(), Source(np.int32(0), np.int32(0))
-    state = exposure.update(exposure.init(1), source, jnp.ones(12), jnp.float32(0))
-    assert_allclose(exposure.of(state, source), 0)
+    state = exposure.update(exposure.init(1), source, jnp.ones(12), jnp.float32(0), jnp.float32(9))
+    assert_allclose(exposure.for_photo(state, source), 0)

@@ -16,8 +16,8 @@ from splatax.training.camera_refinement import Poses, PosesAndFocal, rate_for, r
 from splatax.training.density import NoDensityControl
 from splatax.training.feed import batches, sources
 from splatax.training.loop import first_state, optimize
-from splatax.training.optimizer import LearningRates
-from splatax.training.recipes import default
+from splatax.training.optimizer import LearningRates, Optimizer
+from splatax.training.recipes import ShSchedule, default
 from splatax.training.step import train_step
 from training.test_training import RECIPE, capture
 
@@ -58,7 +58,12 @@ def learn(views, recipe, truth):
 
 TRUTH = random_gaussians(n=80, degree=0, spread=0.8, scale=(0.05, 0.25))  # of `capture`
 KNOWN = replace(
-    RECIPE, steps=200, density=NoDensityControl(), learning_rates=STILL, sh_degree=0, backend="xla"
+    RECIPE,
+    steps=200,
+    density=NoDensityControl(),
+    optimizer=Optimizer(rates=STILL),
+    sh=ShSchedule(0),
+    backend="xla",
 )
 
 

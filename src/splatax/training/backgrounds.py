@@ -6,6 +6,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from splatax.training.protocols import Background
+
 
 @dataclass(frozen=True)
 class Solid:
@@ -29,5 +31,4 @@ class Random:
         return jax.random.uniform(key, (3,))
 
 
-Background = Solid | Random
 BACKGROUNDS: dict[str, Background] = {"black": Solid(), "white": Solid((1.0, 1.0, 1.0)), "random": Random()}

@@ -1,4 +1,4 @@
-"""What training may change of the cameras that took the photos."""
+"""Corrections of the training cameras, learned together with the scene."""
 
 import math
 from dataclasses import dataclass, replace
@@ -12,45 +12,47 @@ from splatax.camera import Camera
 from splatax.dataset import View
 from splatax.math import rigid
 from splatax.training import per_photo
-from splatax.training.feed import Source, sources
+from splatax.training.feed import sources
 from splatax.training.per_photo import NoParameters, PerPhoto
+from splatax.training.protocols import CameraRefinement, Source
 
-FALL = 0.01  # what the rates end at, of what they start at (as in gsplat)
+FINAL_RATE = 0.01  # learning rate at the end, as a fraction of that at the start (as in gsplat)
 
 
 @dataclass(frozen=True)
 class FixedCameras(NoParameters):
-    """Nothing: the cameras are as they were given."""
+    """Keeps the cameras as they were given."""
 
-    def __call__(self, known: tuple[()], camera: Camera, extent: Float[Array, ""]) -> Camera:
-        """The camera as it is now thought to be."""
+    def __call__(self, parameters: tuple[()], camera: Camera, extent: Float[Array, ""]) -> Camera:
+        """Returns the camera unchanged."""
         return camera
 
 
 @dataclass(frozen=True)
 class Poses:
-    """Where each photo was taken from: a twist for each, from the left on `cam_from_world`.
+    """Learns a twist for each training camera, multiplied to `cam_from_world` from the left.
 
-    A twist turns a camera about its own centre, and moves it. Its numbers are along the axes of the
-    world, radians and extents of the scene. If all cameras turned and moved together with the scene,
-    no photo could tell; so the mean twist over photos is held at zero. That spreads what the given
-    poses have in common evenly, where to hold one camera still would trust that one alone.
+    A twist turns a camera about its own centre and translates it. Its six numbers are along the axes of
+    the world, in radians and extents of the scene. All cameras can turn and move together with the scene
+    without changing any rendering (gauge freedom), so the mean twist over the photos is held at zero.
+    This distributes the common error of the given poses evenly; fixing one camera instead would make the
+    others follow the error of that camera.
     """
 
-    reach: float = 0.02  # how far a camera can go in a whole run: radians, and extents of the scene
+    reach: float = 0.02  # length of all steps of a camera in a run together: radians, extents of the scene
 
     def init(self, photos: int) -> PerPhoto:
-        """Cameras as they were given: a row has a rotation and a translation."""
+        """Returns the cameras as given: a row holds a rotation and a translation, all zero."""
         return per_photo.zeros(photos, 6)
 
-    def of(self, state: PerPhoto, source: Source) -> Float[Array, "6"]:
-        """The twist of a photo's camera."""
+    def for_photo(self, state: PerPhoto, source: Source) -> Float[Array, "6"]:
+        """Returns the twist of one photo's camera."""
         return state.values[source.view]
 
     @jax.default_matmul_precision("highest")
-    def __call__(self, known: Float[Array, "6"], camera: Camera, extent: Float[Array, ""]) -> Camera:
-        """The camera as it is now thought to be."""
-        rotation, translation = camera.rotation @ known[:3], camera.rotation @ known[3:] * extent
+    def __call__(self, parameters: Float[Array, "6"], camera: Camera, extent: Float[Array, ""]) -> Camera:
+        """Applies a twist to a camera."""
+        rotation, translation = camera.rotation @ parameters[:3], camera.rotation @ parameters[3:] * extent
         delta = rigid.exponential(jnp.concatenate([rotation, translation]))
         return replace(camera, cam_from_world=delta @ camera.cam_from_world)
 
@@ -62,14 +64,14 @@ class Poses:
         progress: Float[Array, ""],
         steps: Float[Array, ""],
     ) -> PerPhoto:
-        """The state after a step of a run that has so many."""
+        """Makes one step for one camera, then restores the mean twist to zero."""
         rate = rate_for(self.reach, steps / len(state.visits), progress)
-        state = per_photo.moved(state, source.view, gradient, rate)
+        state = per_photo.updated(state, source.view, gradient, rate)
         return replace(state, values=per_photo.centred(state.values))
 
 
-class Learned(NamedTuple):
-    """Of poses and lenses: their tables, or what is known of one photo's."""
+class PosesAndLenses(NamedTuple):
+    """Parameters of poses and lenses: the tables of a run, or the values for one photo."""
 
     poses: Any
     focals: Any
@@ -77,44 +79,48 @@ class Learned(NamedTuple):
 
 @dataclass(frozen=True)
 class PosesAndFocal:
-    """Poses, and a factor on the focal lengths of each lens. Photos share a lens if their cameras were
-    given the same numbers."""
+    """Learns poses, and a factor on the focal lengths of each lens.
+
+    Two photos have the same lens if the intrinsics and sizes of their cameras are equal.
+    """
 
     poses: Poses = Poses()
-    reach: float = 0.02  # how far the factor can go from 1 in a whole run
+    reach: float = 0.02  # length of all steps of the factor's logarithm in a run together
 
-    def init(self, photos: int) -> Learned:
-        """As given: a row has the logarithm of a factor. There are at most as many lenses as photos."""
-        return Learned(self.poses.init(photos), per_photo.zeros(photos, 1))
+    def init(self, photos: int) -> PosesAndLenses:
+        """Returns cameras as given; a row for a lens holds the logarithm of its factor.
 
-    def of(self, state: Learned, source: Source) -> Learned:
-        """The twist and the logarithm of the factor of a photo's camera."""
-        return Learned(self.poses.of(state.poses, source), state.focals.values[source.lens])
+        There are at most as many lenses as photos.
+        """
+        return PosesAndLenses(self.poses.init(photos), per_photo.zeros(photos, 1))
 
-    def __call__(self, known: Learned, camera: Camera, extent: Float[Array, ""]) -> Camera:
-        """The camera as it is now thought to be."""
-        factor = jnp.exp(known.focals[0])
+    def for_photo(self, state: PosesAndLenses, source: Source) -> PosesAndLenses:
+        """Returns the twist and the logarithm of the factor for one photo's camera."""
+        return PosesAndLenses(self.poses.for_photo(state.poses, source), state.focals.values[source.lens])
+
+    def __call__(self, parameters: PosesAndLenses, camera: Camera, extent: Float[Array, ""]) -> Camera:
+        """Applies a factor on the focal lengths and a twist to a camera."""
+        factor = jnp.exp(parameters.focals[0])
         zoomed = replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
-        return self.poses(known.poses, zoomed, extent)
+        return self.poses(parameters.poses, zoomed, extent)
 
     def update(
         self,
-        state: Learned,
+        state: PosesAndLenses,
         source: Source,
-        gradient: Learned,
+        gradient: PosesAndLenses,
         progress: Float[Array, ""],
         steps: Float[Array, ""],
-    ) -> Learned:
-        """The state after a step of a run that has so many."""
-        lenses = jnp.maximum(jnp.sum(state.focals.visits > 0), 1)  # after the first epoch, all
+    ) -> PosesAndLenses:
+        """Makes one step for one camera and its lens."""
+        lenses = jnp.maximum(jnp.sum(state.focals.visits > 0), 1)  # all of them after the first epoch
         rate = rate_for(self.reach, steps / lenses, progress)
-        return Learned(
+        return PosesAndLenses(
             self.poses.update(state.poses, source, gradient.poses, progress, steps),
-            per_photo.moved(state.focals, source.lens, gradient.focals, rate),
+            per_photo.updated(state.focals, source.lens, gradient.focals, rate),
         )
 
 
-CameraRefinement = FixedCameras | Poses | PosesAndFocal
 CAMERA_REFINEMENTS: dict[str, CameraRefinement] = {
     "none": FixedCameras(),
     "poses": Poses(),
@@ -123,24 +129,24 @@ CAMERA_REFINEMENTS: dict[str, CameraRefinement] = {
 
 
 def rate_for(reach: float, visits: Float[Array, ""] | float, progress: Float[Array, ""]) -> Float[Array, ""]:
-    """Of Adam, so that the steps of all visits together are as long as `reach`."""
-    mean = (1 - FALL) / -math.log(FALL)  # of the rates over the run, to the first
-    return per_photo.falling(1.0, FALL, progress) * (reach / (mean * visits))
+    """Returns Adam's learning rate such that the steps of all visits together are `reach` long."""
+    mean = (1 - FINAL_RATE) / -math.log(FINAL_RATE)  # of the rates over the run, as a fraction of the first
+    return per_photo.log_linear(1.0, FINAL_RATE, progress) * (reach / (mean * visits))
 
 
 def refined(
     refinement: CameraRefinement, state: Any, views: tuple[View, ...], extent: Float[Array, ""]
 ) -> tuple[View, ...]:
-    """The training views of a run with their cameras as they are now thought to be.
+    """Returns the training views of a run with their corrected cameras.
 
     Args:
         refinement: of the recipe.
-        state: what the run has learned of the cameras.
-        views: that it is trained on, in the same order.
+        state: of the refinement, from the run.
+        views: the training views of the run, in the same order.
         extent: of the scene, world units.
     """
-    known: list[Any] = [refinement.of(state, source) for source in sources(views)]
+    corrections = [refinement.for_photo(state, source) for source in sources(views)]
     return tuple(
-        replace(view, camera=refinement(of_view, view.camera, extent))
-        for view, of_view in zip(views, known, strict=True)
+        replace(view, camera=refinement(correction, view.camera, extent))
+        for view, correction in zip(views, corrections, strict=True)
     )

@@ -5,25 +5,17 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import count, islice
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Int, UInt8
+from jaxtyping import Array, Bool, UInt8
 
 from splatax.camera import Camera
 from splatax.dataset import Mask, Pixels, View
 from splatax.training.photo_cache import PhotoCache
+from splatax.training.protocols import ResolutionSchedule, Source
 from splatax.training.resolution import Resolution
-
-
-class Source(NamedTuple):
-    """Which photo a batch shows, and which lens took it: their numbers, from 0."""
-
-    view: Int[Array, ""] | np.int32
-    lens: Int[Array, ""] | np.int32
-
 
 FIRST = Source(np.int32(0), np.int32(0))
 
@@ -45,7 +37,7 @@ def batches(
     views: Sequence[View],
     seed: int,
     start: int = 0,
-    resolution: Resolution = Resolution(),
+    resolution: ResolutionSchedule = Resolution(),
     room: int | float = math.inf,
 ) -> Iterator[Batch]:
     """All views in a new random order, again and again, each read while the one before is learned from.

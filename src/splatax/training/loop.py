@@ -12,10 +12,10 @@ from splatax import backends
 from splatax.dataset import Dataset
 from splatax.errors import DatasetError
 from splatax.gaussians import Gaussians
-from splatax.training import optimizer
 from splatax.training.capacity import bucket_for, pad, without_broken
 from splatax.training.feed import batches
 from splatax.training.initialize import require_visible
+from splatax.training.optimizer import inherit
 from splatax.training.recipes import Recipe
 from splatax.training.step import Faults, TrainState, train_step
 
@@ -107,7 +107,7 @@ def optimize(
         raise ValueError(f"a recipe needs at least one step, not {recipe.steps}")
     recipe = replace(recipe, backend=backends.resolve(recipe.backend))
     if start is None:
-        gaussians = recipe.initialization(dataset, recipe.sh_degree, recipe.seed)
+        gaussians = recipe.initialization(dataset, recipe.sh.degree, recipe.seed)
         require_visible(gaussians, dataset)
         padded = pad(gaussians, bucket_for(len(gaussians)))
         start = RunState(first_state(padded, recipe, dataset.extent, len(dataset.train)), len(gaussians))
@@ -121,7 +121,7 @@ def first_state(gaussians: Gaussians, recipe: Recipe, extent: float, photos: int
         step=jnp.int32(0),
         total=jnp.int32(recipe.steps),
         gaussians=gaussians,
-        opt_state=optimizer.ADAM.init(gaussians),
+        opt_state=recipe.optimizer.rule().init(gaussians),
         density_state=recipe.density.init(len(gaussians)),
         appearance=recipe.appearance.init(photos),
         cameras=recipe.camera_refinement.init(photos),
@@ -166,7 +166,7 @@ def _steps(
             state = replace(
                 state,
                 gaussians=refined.gaussians,
-                opt_state=optimizer.inherit(state.opt_state, refined.lineage),
+                opt_state=inherit(state.opt_state, refined.lineage, refined.gaussians, recipe.optimizer.rule),
                 density_state=refined.state,
                 faults=state.faults._replace(gaussians=state.faults.gaussians + broken),
             )

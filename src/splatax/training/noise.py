@@ -58,6 +58,3 @@ def _by_covariance(quat: Float[Array, "4"], scale: Float[Array, "3"], v: Float[A
     """Sigma v."""
     factor = ellipsoids.covariance_factor(quat, scale)
     return factor @ (factor.T @ v)
-
-
-Noise = NoNoise | Langevin

@@ -1,83 +1,83 @@
-"""A row of numbers for each photo, learned by an Adam of its own: what a photo alone can tell."""
+"""Parameters of each training photo, learned by an Adam that keeps a state of its own for every photo."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 from jaxtyping import Array, Float, Int
 
-from splatax.training.feed import Source
+from splatax.training.protocols import Source
 
-FIRST, SECOND, EPSILON = 0.9, 0.999, 1e-15  # of Adam, as for Gaussians
+ADAM = optax.scale_by_adam(b1=0.9, b2=0.999, eps=1e-15)  # as for the Gaussians
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class PerPhoto:
-    """A table, and what Adam remembers of each row.
+    """A table of parameters, one row for each photo, and the state of the optimizer of each row.
 
     Attributes:
-        values: zero at the start.
-        mean: of the gradients of a row, decaying.
-        square: of their squares.
-        visits: how often a row was moved.
+        values: the parameters, zero before the first step.
+        opt_state: every array has one row for each photo, the step count among them.
     """
 
     values: Float[Array, "photos width"]
-    mean: Float[Array, "photos width"]
-    square: Float[Array, "photos width"]
-    visits: Int[Array, " photos"]
+    opt_state: optax.ScaleByAdamState
+
+    @property
+    def visits(self) -> Int[Array, " photos"]:
+        """Number of steps that each row has made."""
+        return self.opt_state.count
 
 
 class NoParameters:
-    """In place of what has a table: nothing is learned of a photo, and nothing is known."""
+    """Learns nothing of the photos: the base of null objects such as `NoAppearance`."""
 
     def init(self, photos: int) -> tuple[()]:
-        """The state before any step."""
+        """Returns an empty state."""
         return ()
 
-    def of(self, state: tuple[()], source: Source) -> tuple[()]:
-        """What is known of a photo."""
+    def for_photo(self, state: tuple[()], source: Source) -> tuple[()]:
+        """Returns no parameters."""
         return ()
 
-    def update(self, state: tuple[()], *step: object) -> tuple[()]:
-        """The state after a step."""
+    def update(
+        self, state: Any, source: Source, gradient: Any, progress: Float[Array, ""], steps: Float[Array, ""]
+    ) -> Any:
+        """Returns the state unchanged."""
         return state
 
 
 def zeros(photos: int, width: int) -> PerPhoto:
-    """Before any step."""
-    values, mean, square = (jnp.zeros((photos, width)) for _ in range(3))
-    return PerPhoto(values, mean, square, jnp.zeros(photos, jnp.int32))
+    """Returns the table before the first step, with `width` parameters for each photo."""
+    values = jnp.zeros((photos, width))
+    return PerPhoto(values, jax.vmap(ADAM.init)(values))
 
 
-def moved(
-    rows: PerPhoto, index: Int[Array, ""] | np.int32, gradient: Float[Array, " width"], rate: Array
+def updated(
+    table: PerPhoto, index: Int[Array, ""] | np.int32, gradient: Float[Array, " width"], rate: Array
 ) -> PerPhoto:
-    """One step of Adam for one row; the others keep still.
+    """Makes one step of Adam in one row and leaves the other rows as they are.
 
-    An Adam over the whole table would go on moving the rows of photos that are not looked at, by what
-    it remembers of them.
+    An Adam over the whole table would keep moving the rows of photos that the step does not show,
+    because their moments are not zero. For the same reason each row counts its own steps.
     """
-    visits = rows.visits[index] + 1
-    mean = FIRST * rows.mean[index] + (1 - FIRST) * gradient
-    square = SECOND * rows.square[index] + (1 - SECOND) * gradient * gradient
-    count = visits.astype(mean.dtype)
-    step = mean / (1 - FIRST**count) / (jnp.sqrt(square / (1 - SECOND**count)) + EPSILON)
+    row = jax.tree.map(lambda leaf: leaf[index], table.opt_state)
+    direction, row = ADAM.update(gradient, row)
     return PerPhoto(
-        rows.values.at[index].add(-rate * step),
-        rows.mean.at[index].set(mean),
-        rows.square.at[index].set(square),
-        rows.visits.at[index].set(visits),
+        table.values.at[index].add(-rate * direction),
+        jax.tree.map(lambda leaf, new: leaf.at[index].set(new), table.opt_state, row),
     )
 
 
 def centred(values: Float[Array, "photos width"]) -> Float[Array, "photos width"]:
-    """The same, but for what all rows have in common: their mean is zero."""
+    """Subtracts the mean over photos from the parameters."""
     return values - jnp.mean(values, axis=0, keepdims=True)
 
 
-def falling(first: float, last: float, progress: Float[Array, ""]) -> Float[Array, ""]:
-    """A rate that goes from one value to another, log-linearly in the share of the run that is done."""
+def log_linear(first: float, last: float, progress: Float[Array, ""]) -> Float[Array, ""]:
+    """Returns a learning rate that falls from `first` to `last`, log-linearly in the progress of the run."""
     return first * (last / first) ** progress

@@ -31,6 +31,3 @@ class Sparsity:
         opacity = jnp.sum(jnp.where(living, gaussians.opacities, 0)) / count
         scale = jnp.sum(jnp.where(living[:, None], gaussians.scales, 0)) / (3 * count)
         return self.opacity * opacity + self.scale * scale / extent
-
-
-Prior = NoPrior | Sparsity

@@ -63,7 +63,7 @@ def train_step(state: TrainState, batch: Batch, recipe: Recipe) -> tuple[TrainSt
     The backend named by the recipe must be resolved already.
     """
     # Numbers that differ from run to run are inputs of the program, so that it is compiled once for all.
-    return _train_step(state, batch, recipe.learning_rates, recipe.sh_every, recipe)
+    return _train_step(state, batch, recipe.optimizer.rates, recipe.sh.every, recipe)
 
 
 @partial(jax.jit, static_argnames="recipe", donate_argnames="state")
@@ -81,14 +81,16 @@ def _train_step(
     progress = state.step / state.total
     rates = learning_rates.at(progress, state.extent, gradients.sh.shape[1])
     rates = jax.tree.map(lambda leaf: jnp.where(good, leaf, 0), rates)
-    gaussians, opt_state = optimizer.update(state.gaussians, gradients, state.opt_state, rates)
+    gaussians, opt_state = optimizer.update(
+        state.gaussians, gradients, state.opt_state, rates, recipe.optimizer.rule
+    )
     gaussians = lax.optimization_barrier(gaussians)
-    gaussians = recipe.noise(gaussians, rates.means[0, 0], state.extent, noise_key)
+    gaussians = recipe.optimizer.noise(gaussians, rates.means[0, 0], state.extent, noise_key)
     total = state.total.astype(jnp.float32)
     learned = (
         recipe.density.observe(state.density_state, splats, d.splats),
-        recipe.appearance.update(state.appearance, batch.source, d.look, progress),
-        recipe.camera_refinement.update(state.cameras, batch.source, d.pose, progress, total),
+        recipe.appearance.update(state.appearance, batch.source, d.appearance, progress, total),
+        recipe.camera_refinement.update(state.cameras, batch.source, d.camera, progress, total),
     )
     known = state.density_state, state.appearance, state.cameras
     density_state, appearance, cameras = jax.tree.map(partial(jnp.where, good), learned, known)
@@ -109,8 +111,8 @@ class Gradients(NamedTuple):
 
     gaussians: Gaussians
     splats: Splats
-    look: Any  # what is known of the photo's colours
-    pose: Any  # and of its camera
+    appearance: Any  # of the photo's parameters
+    camera: Any  # of its parameters
 
 
 def compare(
@@ -133,8 +135,8 @@ def compare(
         splats = project(gaussians, camera, low_pass=low_pass, backend=kernels)
         return recipe.density.watch(splats), recipe.prior(gaussians, state.extent)
 
-    look = recipe.appearance.of(state.appearance, batch.source)
-    pose = recipe.camera_refinement.of(state.cameras, batch.source)
+    look = recipe.appearance.for_photo(state.appearance, batch.source)
+    pose = recipe.camera_refinement.for_photo(state.cameras, batch.source)
     (splats, prior), pull_back = jax.vjp(project_view, state.gaussians, pose)
     loss, (d_splats, d_look) = jax.value_and_grad(image_loss, argnums=(0, 1))(splats, look)
     d_gaussians, d_pose = pull_back((d_splats, jnp.ones_like(prior)))

@@ -19,7 +19,7 @@ from splatax.gaussians import Gaussians
 from splatax.math import ellipsoids
 from splatax.splats import Splats
 from splatax.training.capacity import bucket_for, with_empty_slots
-from splatax.training.density.protocol import DensityUpdate, Lineage
+from splatax.training.protocols import DensityUpdate, Lineage
 
 
 class Observed(NamedTuple):

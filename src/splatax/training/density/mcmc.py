@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from splatax.gaussians import Gaussians
 from splatax.splats import Splats
 from splatax.training.capacity import bucket_for, with_empty_slots
-from splatax.training.density.protocol import DensityUpdate, Lineage
+from splatax.training.protocols import DensityUpdate, Lineage
 
 MAX_COPIES = 51  # that a Gaussian is replaced by at once (the authors' limit)
 

@@ -7,7 +7,7 @@ from jaxtyping import PRNGKeyArray
 
 from splatax.gaussians import Gaussians
 from splatax.splats import Splats
-from splatax.training.density.protocol import DensityUpdate
+from splatax.training.protocols import DensityUpdate
 
 
 @dataclass(frozen=True)

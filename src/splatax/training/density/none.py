@@ -1,4 +1,4 @@
-"""No density control: the Gaussians of the start stay."""
+"""No density control: the Gaussians of the initialization stay."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -12,21 +12,26 @@ from splatax.training.protocols import DensityUpdate
 
 @dataclass(frozen=True)
 class NoDensityControl:
-    """Leaves the number of Gaussians as it is."""
+    """Never adds, moves or removes a Gaussian."""
 
     def init(self, capacity: int) -> tuple[()]:
+        """Returns an empty state."""
         return ()
 
     def watch(self, splats: Splats) -> Splats:
+        """Returns the splats unchanged."""
         return splats
 
     def observe(self, state: Any, splats: Splats, d_splats: Splats) -> Any:
+        """Returns the state unchanged."""
         return state
 
     def due(self, step: int) -> bool:
+        """Returns False."""
         return False
 
     def refine(
         self, state: Any, gaussians: Gaussians, count: int, step: int, extent: float, key: PRNGKeyArray
     ) -> DensityUpdate:
+        """Fails: it is never due."""
         raise AssertionError("never due")

@@ -2,12 +2,12 @@
 
 from dataclasses import replace
 
-from splatax.training.recipes import RECIPES, Recipe
+from splatax.training.recipes import PRESETS, Recipe, ShSchedule
 
 
 def shortened(name: str) -> Recipe:
     """Refines every 5 steps, opens a band of spherical harmonics after 10, and grows to 1,400 at most:
     past the first capacity."""
-    recipe = RECIPES[name](steps=30, max_gaussians=1400)
+    recipe = PRESETS[name].build(steps=30, max_gaussians=1400)
     density = replace(recipe.density, every=5, start=4, until=28)
-    return replace(recipe, density=density, sh_degree=1, sh_every=10)
+    return replace(recipe, density=density, sh=ShSchedule(1, 10))

@@ -1,4 +1,4 @@
-"""How well a scene predicts photos that it may not have seen."""
+"""Evaluation: PSNR, SSIM and LPIPS of renderings compared with photos, usually held-out ones."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from splatax.lpips import Lpips
 from splatax.projection import Dilation, LowPass
 from splatax.rendering import render
 
-PROTOCOL = {  # how scores are made, in words
+PROTOCOL = {  # how scores are computed, in words
     "images": "rounded to 8 bits, at the size they were loaded in",
     "psnr": metrics.PSNR_PROTOCOL,
     "corrected_psnr": metrics.CORRECTION_PROTOCOL,
@@ -27,14 +27,14 @@ PROTOCOL = {  # how scores are made, in words
 
 @dataclass(frozen=True)
 class ViewScore:
-    """Of one view, on 8-bit images.
+    """Scores of one view, computed on 8-bit images.
 
     Attributes:
         name: of the view.
         psnr: dB.
         ssim: at most 1.
         corrected_psnr: dB, after an affine map of the rendering's colours; see `metrics.color_corrected`.
-        lpips: 0 is best; None where it was not asked for.
+        lpips: 0 is best; None if it was not computed.
     """
 
     name: str
@@ -46,7 +46,7 @@ class ViewScore:
 
 @dataclass(frozen=True)
 class Scores:
-    """Of several views."""
+    """Scores of several views, and their means."""
 
     views: tuple[ViewScore, ...]
 
@@ -67,13 +67,13 @@ class Scores:
 
     @property
     def lpips(self) -> float | None:
-        """Mean over views of LPIPS; None where it was not asked for."""
+        """Mean over views of LPIPS; None if it was not computed."""
         values = [view.lpips for view in self.views if view.lpips is not None]
         return float(np.mean(values)) if values else None
 
     @property
     def worst(self) -> ViewScore:
-        """The view of lowest PSNR."""
+        """The view with the lowest PSNR."""
         return min(self.views, key=lambda view: view.psnr)
 
 
@@ -86,18 +86,18 @@ def evaluate(
     backend: str | Kernels = backends.AUTO,
     lpips: Lpips | None = None,
 ) -> Scores:
-    """Renders each view and compares it with its photo, where its mask lets it count.
+    """Renders each view and compares it with its photo, inside its mask if it has one.
 
     Args:
         gaussians: the scene.
         views: with photos; those with alpha are composited over the background.
         background: RGB.
-        low_pass: the one that the scene was trained with.
+        low_pass: the filter that the scene was trained with.
         backend: see `render`.
-        lpips: also computes this.
+        lpips: the metric to compute as well; None for none.
 
     Raises:
-        DatasetError: if a photo is too small, or its mask leaves too little, to be compared.
+        DatasetError: if a photo is too small to be compared, or its mask leaves too little of it.
     """
     scores = []
     for view in views:
@@ -114,10 +114,10 @@ def score(
     mask: Bool[np.ndarray, "h w"] | None = None,
     lpips: Lpips | None = None,
 ) -> ViewScore:
-    """Compares a picture with a photo.
+    """Compares a rendering with a photo.
 
     Raises:
-        DatasetError: if there is too little of them.
+        DatasetError: if they are too small, or the mask leaves too little of them.
     """
     try:
         return ViewScore(
@@ -147,7 +147,7 @@ def picture(
 
 
 def photo_of(view: View, background: tuple[float, float, float]) -> UInt8[np.ndarray, "h w 3"]:
-    """The photo of a view, over the background where it is transparent."""
+    """Returns the photo of a view; one with alpha is composited over the background."""
     pixels = view.pixels()
     if pixels.shape[2] == 3:
         return pixels

@@ -1,11 +1,11 @@
 """Learned perceptual image patch similarity, LPIPS (Zhang et al. 2018), version 0.1.
 
-Both pictures go through a convolutional network that was trained to recognise things. With the
-features f of layer l scaled to unit length at each position, and the learned weights w of channels,
+Both images pass through a convolutional network that was trained to classify images. With the features f
+of layer l, scaled to unit length at each position, and the learned channel weights w,
 
     LPIPS = sum_l  mean over positions of  w_l . (f_l(image) - f_l(photo))^2                (Eq. 1)
 
-The network's weights are the user's to bring: `docs/evaluation.md` says in what file.
+The weights of the network are not included; `docs/evaluation.md` describes the file that holds them.
 """
 
 import zipfile
@@ -22,15 +22,18 @@ from jaxtyping import Array, Bool, Float, UInt8
 
 from splatax.errors import FormatError, InputError
 
-SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)  # of ImageNet's colours in [-1, 1]
-UNIT_EPSILON = 1e-10  # of the authors' code, beside the length of a feature
+SHIFT, SCALE = (
+    (-0.030, -0.088, -0.188),
+    (0.458, 0.448, 0.450),
+)  # statistics of ImageNet's colours, for values in [-1, 1]
+UNIT_EPSILON = 1e-10  # added to the length of a feature, as in the authors' code
 
 
 @dataclass(frozen=True)
 class Convolution:
-    """With the ReLU after it."""
+    """A convolution, followed by a ReLU."""
 
-    index: int  # in torchvision's `features`, which names its weights
+    index: int  # position in torchvision's `features`, which is part of the names of its weights
     channels: int
     size: int = 3
     stride: int = 1
@@ -39,21 +42,21 @@ class Convolution:
 
 @dataclass(frozen=True)
 class MaxPool:
-    """Over windows that lie inside."""
+    """A maximum over windows that lie inside the image, at every second pixel."""
 
     size: int
 
 
 @dataclass(frozen=True)
 class Network:
-    """Blocks of layers; the features after each block are compared."""
+    """A convolutional network in blocks of layers; the features after each block are compared."""
 
     name: str
     blocks: tuple[tuple[Convolution | MaxPool, ...], ...]
 
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:
-        """Name and shape of each array that it needs."""
+        """Names and shapes of the weights."""
         shapes: dict[str, tuple[int, ...]] = {}
         channels = 3
         for i, block in enumerate(self.blocks):
@@ -87,18 +90,18 @@ VGG = Network(  # Simonyan and Zisserman 2015, configuration D
         (MaxPool(2), Convolution(24, 512), Convolution(26, 512), Convolution(28, 512)),
     ),
 )
-SMALLEST = 32  # pixels of a side; below, the last features have no position
+SMALLEST = 32  # pixels; the last features of an image with a shorter side have no position
 UNREADABLE = (ValueError, OSError, TypeError, EOFError, zipfile.BadZipFile, zlib.error)
 Weights = dict[str, Float[Array, "..."]]
 
 
 @dataclass(frozen=True)
 class Lpips:
-    """The metric: call it with two pictures.
+    """The metric: a network with its weights. Call it with two images.
 
     Attributes:
-        network: which.
-        weights: by the names of `network.shapes`.
+        network: the architecture.
+        weights: arrays by the names of `network.shapes`.
     """
 
     network: Network
@@ -106,7 +109,7 @@ class Lpips:
 
     @property
     def protocol(self) -> str:
-        """How it is computed, in words."""
+        """A description of how the metric is computed."""
         return f"version 0.1, {self.network.name}, 8-bit images scaled to [-1, 1], mean over views"
 
     def __call__(
@@ -115,28 +118,28 @@ class Lpips:
         photo: UInt8[np.ndarray, "h w 3"],
         mask: Bool[np.ndarray, "h w"] | None = None,
     ) -> float:
-        """The distance of two pictures: 0 for equal ones.
+        """Returns the distance of two images, 0 if they are equal.
 
-        Pixels outside a mask are black in both, and the mean is over the share of those inside.
+        Pixels outside a mask are set to black in both, and the distance is divided by the fraction inside.
 
         Raises:
-            InputError: if the pictures are too small for the network.
+            InputError: if the images are too small for the network.
         """
         if min(image.shape[:2]) < SMALLEST:
             height, width = image.shape[:2]
             raise InputError(f"LPIPS needs at least {SMALLEST} x {SMALLEST} pixels, not {width} x {height}")
-        share = 1.0
+        fraction = 1.0
         if mask is not None:
             image, photo = (np.where(mask[..., None], picture, np.uint8(0)) for picture in (image, photo))
-            share = float(mask.mean())
-        return float(distance(self.network, self.weights, image, photo)) / share
+            fraction = float(mask.mean())
+        return float(distance(self.network, self.weights, image, photo)) / fraction
 
 
 def read(path: Path) -> Lpips:
-    """Reads a file of weights; which network it is for shows in its first layer.
+    """Reads a file of weights. The shape of its first layer tells which network it is for.
 
     Raises:
-        FormatError: if it is no .npz file, or lacks an array, or one has another shape.
+        FormatError: if it is not an .npz file, or an array is missing or has a wrong shape.
     """
     how = "docs/evaluation.md of splatax shows how to make it"
     try:
@@ -162,7 +165,7 @@ def read(path: Path) -> Lpips:
 def distance(
     network: Network, weights: Weights, image: UInt8[Array, "h w 3"], photo: UInt8[Array, "h w 3"]
 ) -> Float[Array, ""]:
-    """Eq. 1."""
+    """Returns the distance of two images (Eq. 1)."""
     pair = jnp.moveaxis(jnp.stack([image, photo]), 3, 1).astype(jnp.float32) / 127.5 - 1
     shift, scale = (jnp.array(values)[None, :, None, None] for values in (SHIFT, SCALE))
     values = (pair - shift) / scale
@@ -182,7 +185,7 @@ def distance(
 def convolved(
     values: Float[Array, "n c h w"], layer: Convolution, weights: Weights
 ) -> Float[Array, "n c2 h2 w2"]:
-    """Zeros beyond the border; then max(0, x)."""
+    """Convolves, with zeros beyond the border, and applies the ReLU."""
     kernel, bias = (weights[f"features.{layer.index}.{part}"] for part in ("weight", "bias"))
     padding = [(layer.padding, layer.padding)] * 2
     sums = lax.conv_general_dilated(values, kernel, (layer.stride,) * 2, padding, precision="highest")
@@ -190,6 +193,6 @@ def convolved(
 
 
 def pooled(values: Float[Array, "n c h w"], layer: MaxPool) -> Float[Array, "n c h2 w2"]:
-    """Maxima of windows, every second pixel."""
+    """Returns the maxima of windows, at every second pixel."""
     window = (1, 1, layer.size, layer.size)
     return lax.reduce_window(values, -jnp.inf, lax.max, window, (1, 1, 2, 2), "VALID")

@@ -1,6 +1,6 @@
-"""How close two pictures are, on 8-bit images in double precision, as papers report it.
+"""Image metrics as papers report them: PSNR and SSIM of 8-bit images, in double precision.
 
-A mask is true where a pixel counts; without one, all do.
+A mask is true where a pixel counts; without a mask, all pixels count.
 """
 
 import math
@@ -20,18 +20,18 @@ CORRECTION_PROTOCOL = (
 )
 MASK_PROTOCOL = (
     "pixels outside a mask count nowhere: no part in PSNR or in the colour fit, no SSIM window that "
-    "touches them; for LPIPS both pictures are black there and the score is divided by the share inside"
+    "touches them; for LPIPS both pictures are black there and the score is divided by the fraction inside"
 )
 Mask = Bool[np.ndarray, "h w"] | None
 
 
 def to_8bit(image: Float[np.ndarray, "h w c"]) -> UInt8[np.ndarray, "h w c"]:
-    """Rounds values in [0, 1] to the nearest of 256 levels; clips the rest."""
+    """Rounds values to the nearest of 256 levels, after clipping them to [0, 1]."""
     return np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
 
 
 def psnr(image: Num[np.ndarray, "h w c"], photo: UInt8[np.ndarray, "h w c"], mask: Mask = None) -> float:
-    """Peak signal-to-noise ratio, dB; infinite for equal images. Values are levels, 0 to 255."""
+    """Returns the peak signal-to-noise ratio of levels from 0 to 255, dB; infinite for equal images."""
     squares = np.square(image.astype(np.float64) - photo)
     error = float(np.mean(squares if mask is None else squares[mask]))
     return 10 * math.log10(255**2 / error) if error else math.inf
@@ -40,14 +40,16 @@ def psnr(image: Num[np.ndarray, "h w c"], photo: UInt8[np.ndarray, "h w c"], mas
 def color_corrected(
     image: UInt8[np.ndarray, "h w 3"], photo: UInt8[np.ndarray, "h w 3"], mask: Mask = None
 ) -> Float[np.ndarray, "h w 3"]:
-    """The image with its colours brought as close to the photo's as an affine map of RGB can.
+    """Applies to an image the affine map of RGB that brings it closest to a photo.
 
-    y = M (x, 1), with the 3 x 4 matrix M of least squares over the pixels that count; clipped to
-    levels from 0 to 255. It undoes differences in exposure and white balance, which a scene cannot
-    know of a photo that it has not seen, and nothing that varies over the picture.
+    The map is y = M (x, 1), with the 3 x 4 matrix M of least squares over the pixels that count. The result
+    is clipped to levels from 0 to 255. The map undoes differences in exposure and white balance, which a
+    scene cannot know for a held-out photo, and nothing that varies over the image.
     """
     colors = np.concatenate([image / 255, np.ones((*image.shape[:2], 1))], axis=2)
-    missing = photo - image.astype(np.float64)  # fitted in place of the photo: 0 stays 0, to the last bit
+    missing = photo - image.astype(
+        np.float64
+    )  # fitted instead of the photo, so that equal images stay equal bit by bit
     counted = np.ones(image.shape[:2], bool) if mask is None else mask
     x, y = colors[counted], missing[counted]
     fit, *_ = np.linalg.lstsq(x.T @ x, x.T @ y)
@@ -55,13 +57,13 @@ def color_corrected(
 
 
 def ssim(image: UInt8[np.ndarray, "h w c"], photo: UInt8[np.ndarray, "h w c"], mask: Mask = None) -> float:
-    """Structural similarity (Wang et al. 2004), as scikit-image computes it.
+    """Returns the structural similarity (Wang et al. 2004), as scikit-image computes it.
 
-    `structural_similarity(gaussian_weights=True, sigma=1.5, use_sample_covariance=False)`: the mean
-    over windows that lie inside the image, and inside the mask.
+    It equals `structural_similarity(gaussian_weights=True, sigma=1.5, use_sample_covariance=False)`: the
+    mean over the windows that lie inside the image and the mask.
 
     Raises:
-        InputError: if no window does.
+        InputError: if no window lies inside both.
     """
     if min(image.shape[:2]) < WINDOW:
         height, width = image.shape[:2]
@@ -79,7 +81,7 @@ def ssim(image: UInt8[np.ndarray, "h w c"], photo: UInt8[np.ndarray, "h w c"], m
 
 
 def _whole_windows(mask: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h2 w2"]:
-    """Which windows lie inside the mask, of those that lie inside the image."""
+    """Returns which of the windows inside the image lie inside the mask."""
     edge = WINDOW // 2
     inside = minimum_filter(mask, WINDOW)[edge:-edge, edge:-edge]
     if not inside.any():
@@ -88,7 +90,7 @@ def _whole_windows(mask: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h2 w2"]:
 
 
 def _window_means(values: Float[np.ndarray, "h w c"]) -> Float[np.ndarray, "h2 w2 c"]:
-    """Gaussian weighted means of the windows that lie inside."""
+    """Returns Gaussian weighted means over the windows inside the image."""
     edge = WINDOW // 2
     blurred = correlate1d(correlate1d(values, KERNEL, axis=0), KERNEL, axis=1)
     return blurred[edge:-edge, edge:-edge]

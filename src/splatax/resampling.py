@@ -1,4 +1,4 @@
-"""Photos and masks of another size: each new pixel is the mean of the area that it covers."""
+"""Resampling of photos and masks: each new pixel is the mean of the area that it covers."""
 
 import numpy as np
 from jaxtyping import Float
@@ -6,11 +6,11 @@ from PIL import Image
 
 from splatax.dataset import Mask, Pixels
 
-HALF, ALL = 0.5, 1 - 1e-3  # shares of a pixel; all but what rounding takes
+HALF, ALL = 0.5, 1 - 1e-3  # fractions of a pixel's area; ALL leaves room for rounding
 
 
 def resize(pixels: Pixels, width: int, height: int) -> Pixels:
-    """A photo of another size. Alpha weighs colour, so what is transparent lends it none."""
+    """Resizes a photo. Colours are weighted by alpha, so transparent pixels do not bleed into others."""
     if pixels.shape[:2] == (height, width):
         return pixels
     if pixels.shape[2] == 4:
@@ -23,13 +23,13 @@ def resize(pixels: Pixels, width: int, height: int) -> Pixels:
 
 
 def resize_mask(mask: Mask, width: int, height: int, above: float = HALF) -> Mask:
-    """A mask of another size.
+    """Resizes a mask.
 
     Args:
         mask: true where a pixel counts.
         width: of the new mask.
         height: of the new mask.
-        above: the share of its area that must count for a new pixel to count; `ALL` for all of it.
+        above: a new pixel counts if more than this fraction of its area does; `ALL` for the whole area.
     """
     if mask.shape == (height, width):
         return mask

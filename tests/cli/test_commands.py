@@ -15,7 +15,7 @@ from splatax import backends, cli, lpips
 from splatax.cli.train import Train
 from splatax.training.backgrounds import Solid
 from splatax.training.initialize import InFrusta
-from splatax.training.recipes import RECIPES, room_for
+from splatax.training.recipes import PRESETS, room_for
 
 SPLIT = ("photo00.png", "photo08.png")  # every 8th of nine
 
@@ -55,14 +55,14 @@ def test_config_holds_all_that_repeats_a_run(trained, capture):
 def test_options_decide_over_the_recipe_and_nothing_else_does(capture):
     dataset = sx.load_dataset(capture)
     plain = Train(capture).to_recipe(dataset)
-    assert plain == replace(RECIPES["default"](30_000, room_for(dataset)), backend=plain.backend)
+    assert plain == replace(PRESETS["default"].build(30_000, room_for(dataset)), backend=plain.backend)
     chosen = Train(capture, recipe="mcmc", max_gaussians=70, init="random", background="white")
     recipe = chosen.to_recipe(dataset)
     assert recipe.density.max_gaussians == 70
     assert recipe.initialization == InFrusta(opacity=0.5, scale=0.1)
     assert recipe.background == Solid((1.0, 1.0, 1.0))
     classic = Train(capture, recipe="classic").to_recipe(dataset)
-    assert classic == replace(RECIPES["classic"](), backend=plain.backend)
+    assert classic == replace(PRESETS["classic"].build(), backend=plain.backend)
 
 
 def test_eval_of_the_run_repeats_its_scores(trained, capture, tmp_path, capsys):

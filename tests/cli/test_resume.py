@@ -19,7 +19,7 @@ from captures import write_capture
 from shortened import shortened
 from splatax import cli
 from splatax.cli import resume, session, train
-from splatax.training.recipes import RECIPES
+from splatax.training.recipes import PRESETS, ShSchedule
 
 STEPS = 24
 
@@ -64,7 +64,7 @@ def refused(capsys, command, *arguments) -> str:
     return error
 
 
-@pytest.fixture(params=RECIPES)
+@pytest.fixture(params=PRESETS)
 def recipe(request, monkeypatch):
     """The name of a recipe, which is shortened so that it refines between the stops."""
     short = shortened(request.param)
@@ -72,7 +72,8 @@ def recipe(request, monkeypatch):
     def make(steps, **_):
         return replace(short, steps=steps)
 
-    monkeypatch.setitem(train.RECIPES, request.param, make)
+    preset = replace(PRESETS[request.param], build=make)
+    monkeypatch.setitem(train.PRESETS, request.param, preset)
     return request.param
 
 
@@ -255,13 +256,14 @@ def sx_version():
 
 
 def test_another_recipe_behind_the_same_options_is_refused(stopped, monkeypatch, capsys):
-    name = next(iter(RECIPES))
+    name = next(iter(PRESETS))
     chosen = json.loads(np.load(stopped / "checkpoints" / "00000010.npz")["header"].tobytes())
-    assert chosen["run"]["options"]["recipe"] in RECIPES
+    assert chosen["run"]["options"]["recipe"] in PRESETS
     name = chosen["run"]["options"]["recipe"]
-    make = RECIPES[name]
-    monkeypatch.setitem(train.RECIPES, name, lambda **k: replace(make(**k), sh_every=77))
-    assert "the recipe of the run changed: sh_every was" in refused(capsys, go_on, stopped)
+    preset = PRESETS[name]
+    other = replace(preset, build=lambda **k: replace(preset.build(**k), sh=ShSchedule(every=77)))
+    monkeypatch.setitem(train.PRESETS, name, other)
+    assert "the recipe of the run changed: sh every was" in refused(capsys, go_on, stopped)
 
 
 def test_another_machine_is_said(stopped, monkeypatch, capsys):

@@ -8,10 +8,11 @@ from numpy.testing import assert_allclose
 
 import splatax as sx
 from splatax.rendering import over
-from splatax.training.appearance import Exposure, Neutral
-from splatax.training.density import Fixed
-from splatax.training.feed import Source
+from splatax.training.appearance import Exposure, NoAppearance
+from splatax.training.density import NoDensityControl
 from splatax.training.loop import optimize
+from splatax.training.protocols import Source
+from splatax.training.recipes import ShSchedule
 from training.test_training import RECIPE, capture
 
 GAINS = (1.15, 0.7, 1.3, 0.85, 1.0)  # of the five training photos, unlike those of neighbours; mean 1
@@ -26,7 +27,9 @@ def exposed(dataset):
 
 
 def run(dataset, appearance):
-    recipe = replace(RECIPE, steps=300, density=Fixed(), appearance=appearance, sh_degree=0, backend="xla")
+    recipe = replace(
+        RECIPE, steps=300, density=NoDensityControl(), appearance=appearance, sh=ShSchedule(0), backend="xla"
+    )
     for progress in optimize(dataset, recipe):
         pass
     return progress
@@ -34,7 +37,7 @@ def run(dataset, appearance):
 
 def test_exposure_is_learned_and_the_scene_keeps_neutral_colours():
     dataset = exposed(capture())
-    plain, learned = run(dataset, Neutral()), run(dataset, Exposure(rate=0.02, rate_final=0.002))
+    plain, learned = run(dataset, NoAppearance()), run(dataset, Exposure(rate=0.02, rate_final=0.002))
     values = learned.state.train.appearance.values
     assert_allclose(jnp.mean(values, axis=0), 0, atol=1e-6)
     grey = np.asarray(values).reshape(5, 3, 4) @ np.array([0.5, 0.5, 0.5, 1.0])
@@ -55,5 +58,5 @@ def test_a_map_changes_the_scene_and_leaves_the_background():
 
 def test_a_lone_photo_has_the_colours_of_the_scene():
     exposure, source = Exposure(), Source(np.int32(0), np.int32(0))
-    state = exposure.update(exposure.init(1), source, jnp.ones(12), jnp.float32(0))
-    assert_allclose(exposure.of(state, source), 0)
+    state = exposure.update(exposure.init(1), source, jnp.ones(12), jnp.float32(0), jnp.float32(9))
+    assert_allclose(exposure.for_photo(state, source), 0)

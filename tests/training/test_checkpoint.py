@@ -12,10 +12,10 @@ import splatax as sx
 from shortened import shortened
 from splatax.errors import FormatError
 from splatax.training import checkpoint
-from splatax.training.density import Fixed
+from splatax.training.density import NoDensityControl
 from splatax.training.feed import order
 from splatax.training.loop import optimize
-from splatax.training.recipes import RECIPES
+from splatax.training.recipes import PRESETS
 from training.test_training import capture
 
 STOPS = (1, 4, 5, 6, 17, 29)  # before, at and after refinements; the last but one step
@@ -26,7 +26,7 @@ def dataset():
     return capture()
 
 
-@pytest.fixture(scope="module", params=RECIPES)
+@pytest.fixture(scope="module", params=PRESETS)
 def whole(request, dataset):
     """A recipe, what each of its steps yields, the checkpoints on the way, and the scene at the end."""
     recipe = shortened(request.param)
@@ -135,10 +135,10 @@ def test_what_is_no_checkpoint_is_refused(tmp_path):
 def test_the_state_of_another_kind_of_run_is_refused(whole):
     recipe, _, stops, _ = whole
     with pytest.raises(FormatError, match=r"gaussians/sh is float32.* not float32"):
-        checkpoint.restore(stops[17], replace(recipe, sh_degree=2))
+        checkpoint.restore(stops[17], replace(recipe, sh=replace(recipe.sh, degree=2)))
     if jax.tree.leaves(recipe.density.init(1)):
         with pytest.raises(FormatError, match="another kind of run: state/density_state"):
-            checkpoint.restore(stops[17], replace(recipe, density=Fixed()))
+            checkpoint.restore(stops[17], replace(recipe, density=NoDensityControl()))
 
 
 # --- what a run depends on ---
@@ -174,7 +174,7 @@ def test_the_fingerprint_sees_what_changed(dataset):
 @pytest.mark.slow
 def test_memory_stays_level(dataset):
     """2,000 steps of a scene that no longer grows: what is allocated is freed again."""
-    recipe = replace(shortened("classic"), steps=2_600, density=Fixed())
+    recipe = replace(shortened("classic"), steps=2_600, density=NoDensityControl())
     rss = {}
     for progress in optimize(dataset, recipe):
         if progress.step in (600, 2_600):

@@ -12,10 +12,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scenes import camera_at, random_gaussians
 from splatax.math import quaternions
 from splatax.rendering import project, render
-from splatax.training import optimizer
 from splatax.training.capacity import bucket_for, pad
-from splatax.training.density import STRATEGIES, ByFactor, Classic, DensityStrategy, Mcmc
+from splatax.training.density import STRATEGIES, ByFactor, Classic, Mcmc
 from splatax.training.density.classic import Observed
+from splatax.training.protocols import DensityStrategy
 
 KEY = jax.random.key(0)
 EXTENT = 10.0
@@ -157,30 +157,6 @@ def test_absolute_pull_is_asked_for_and_read():
     state = strategy.observe(strategy.init(30), watched, d_splats)
     visible = np.asarray(splats.extents > 0).any(axis=1)
     assert_allclose(state.pull, np.where(visible, np.hypot(0.5 * 16, 0.5 * 12), 0), rtol=1e-6)
-
-
-def test_moments_follow_their_gaussians():
-    gaussians = scene([0.05, 0.5, 0.05], [0.5, 0.5, 0.004])
-    refined = refine(gaussians, pulled([1, 1, 0]), 3)  # clone, split, prune
-    opt_state = optimizer.ADAM.init(gaussians)
-    marked = jax.tree.map(
-        lambda leaf: leaf + jnp.arange(1.0, 1025).reshape(-1, *[1] * (leaf.ndim - 1)), opt_state.mu
-    )
-    moved = optimizer.inherit(opt_state._replace(mu=marked, nu=marked), refined.lineage)
-    for moments in (moved.mu, moved.nu):
-        for leaf in jax.tree.leaves(moments):
-            rows = np.asarray(leaf).reshape(1024, -1)[:, 0]
-            assert_array_equal(rows[:5], [1, 0, 0, 0, 0])  # kept, clone, two of the split, empty slot
-            assert not rows[5:].any()
-
-
-def test_restarted_fields_lose_their_moments_and_others_do_not():
-    gaussians = scene([0.05], [0.5])
-    refined = refine(gaussians, pulled([0]), 1, step=3_000, strategy=Classic(every=7_000))
-    ones = jax.tree.map(jnp.ones_like, gaussians)
-    moved = optimizer.inherit(optimizer.ADAM.init(gaussians)._replace(mu=ones, nu=ones), refined.lineage)
-    assert moved.mu.opacity_logits[0] == moved.nu.opacity_logits[0] == 0
-    assert moved.mu.means[0, 0] == moved.nu.sh[0, 0, 0] == 1
 
 
 # --- the contract of every strategy ---

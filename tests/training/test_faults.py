@@ -12,7 +12,7 @@ from shortened import shortened
 from splatax.camera import Camera
 from splatax.errors import DatasetError
 from splatax.training.initialize import FromPoints, InFrusta
-from splatax.training.recipes import RECIPES
+from splatax.training.recipes import PRESETS
 from training.test_training import SIZE, capture
 
 
@@ -108,7 +108,7 @@ FAULTS = [
 UNSEEN = [points_behind_the_cameras, cameras_at_the_only_point, scaled(1e-4)]
 
 
-@pytest.mark.parametrize("recipe", RECIPES)
+@pytest.mark.parametrize("recipe", PRESETS)
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.__name__)
 def test_training_stays_finite(fault, recipe):
     losses, short = [], shortened(recipe)

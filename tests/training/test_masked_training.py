@@ -11,9 +11,10 @@ import splatax as sx
 from scenes import camera_at, random_gaussians
 from splatax.errors import DatasetError
 from splatax.evaluation import picture
+from splatax.training.recipes import ShSchedule
 
 SIZE = (40, 32)
-RECIPE = sx.Recipe(steps=6, sh_degree=0)
+RECIPE = sx.Recipe(steps=6, sh=ShSchedule(0))
 
 
 def left_half():

@@ -12,9 +12,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scenes import camera_at, random_gaussians
 from splatax.rendering import render
 from splatax.training.capacity import bucket_for, pad
-from splatax.training.density.mcmc import MOST_COPIES, ByFactor, ByStep, Mcmc, in_proportion, shared
-from splatax.training.noise import Langevin, Still
-from splatax.training.priors import Indifferent, Sparsity
+from splatax.training.density.mcmc import MAX_COPIES, ByFactor, ByStep, Mcmc, in_proportion, relocated
+from splatax.training.noise import Langevin, NoNoise
+from splatax.training.priors import NoPrior, Sparsity
 
 KEY = jax.random.key(0)
 NO_GROWTH = Mcmc(growth=ByFactor(1.0))
@@ -36,9 +36,9 @@ def refine(gaussians, count, strategy=NO_GROWTH, step=600, key=KEY):
 
 
 @pytest.mark.parametrize("opacity", [0.01, 0.3, 0.9, 0.999])
-@pytest.mark.parametrize("copies", [1, 2, 7, MOST_COPIES])
+@pytest.mark.parametrize("copies", [1, 2, 7, MAX_COPIES])
 def test_copies_over_each_other_cover_what_one_did(opacity, copies):
-    part, factor = (float(x[0]) for x in shared(np.array([opacity]), np.array([copies])))
+    part, factor = (float(x[0]) for x in relocated(np.array([opacity]), np.array([copies])))
     x = np.linspace(-60, 60, 200_001)
     one = opacity * np.exp(-(x**2) / 2)
     many = 1 - (1 - part * np.exp(-((x / factor) ** 2) / 2)) ** copies
@@ -54,7 +54,7 @@ def test_the_factor_is_that_of_the_paper():
         for i in range(1, copies + 1)
         for k in range(i)
     )
-    assert_allclose(shared(np.array([opacity]), np.array([copies]))[1], opacity / total, rtol=1e-12)
+    assert_allclose(relocated(np.array([opacity]), np.array([copies]))[1], opacity / total, rtol=1e-12)
 
 
 def test_relocation_leaves_the_picture():
@@ -185,9 +185,9 @@ def test_noise_grows_with_the_world():
     assert_allclose(shifts[1], k * shifts[0], rtol=1e-3, atol=1e-4)
 
 
-def test_still_is_still():
+def test_no_noise_is_no_noise():
     gaussians = many_faint(n=3)
-    assert Still()(gaussians, jnp.float32(1), jnp.float32(1), KEY) is gaussians
+    assert NoNoise()(gaussians, jnp.float32(1), jnp.float32(1), KEY) is gaussians
 
 
 # --- priors ---
@@ -219,4 +219,4 @@ def test_no_gradient_of_a_prior_reaches_empty_slots():
     for leaf in jax.tree.leaves(gradient):
         assert_array_equal(leaf[3:], 0)
     assert np.all(np.asarray(gradient.opacity_logits[:3]) > 0)
-    assert Indifferent()(pad(random_gaussians(n=3), 8), jnp.float32(1.0)) == 0
+    assert NoPrior()(pad(random_gaussians(n=3), 8), jnp.float32(1.0)) == 0

@@ -12,28 +12,28 @@ import splatax as sx
 from scenes import camera_at
 from splatax.demo.capture import write_capture
 from splatax.training.optimizer import LearningRates
-from splatax.training.recipes import RECIPES, rates_for, room_for
+from splatax.training.recipes import PRESETS, ShSchedule, rates_for, room_for
 
 
-@pytest.mark.parametrize("name", RECIPES)
+@pytest.mark.parametrize("name", PRESETS)
 def test_a_recipe_is_a_value(name):
-    assert RECIPES[name](steps=700) == RECIPES[name](steps=700)
-    assert hash(RECIPES[name]()) == hash(RECIPES[name]())
-    assert RECIPES[name](steps=700, max_gaussians=900).density.max_gaussians == 900
-    assert RECIPES[name](steps=700).steps == 700
+    assert PRESETS[name].build(steps=700) == PRESETS[name].build(steps=700)
+    assert hash(PRESETS[name].build()) == hash(PRESETS[name].build())
+    assert PRESETS[name].build(steps=700, max_gaussians=900).density.max_gaussians == 900
+    assert PRESETS[name].build(steps=700).steps == 700
 
 
-@pytest.mark.parametrize("name", RECIPES)
+@pytest.mark.parametrize("name", PRESETS)
 @pytest.mark.parametrize("steps", [600, 2000, 30_000])
 def test_density_control_ends_before_training_does(name, steps):
-    density = RECIPES[name](steps=steps).density
+    density = PRESETS[name].build(steps=steps).density
     due = [step for step in range(1, steps + 1) if density.due(step)]
     assert not due or due[-1] <= 0.85 * steps
 
 
 @pytest.mark.parametrize("steps", [600, 2000, 30_000])
 def test_default_grows_to_its_most_in_the_first_half(steps):
-    density, count = RECIPES["default"](steps=steps, max_gaussians=50_000).density, 3000
+    density, count = PRESETS["default"].build(steps=steps, max_gaussians=50_000).density, 3000
     for step in range(1, steps // 2):
         if density.due(step):
             count = density.growth.after(count, step, density.every, density.max_gaussians)
@@ -42,8 +42,9 @@ def test_default_grows_to_its_most_in_the_first_half(steps):
 
 @pytest.mark.parametrize("name", ["mcmc", "default"])
 def test_training_grows_to_the_most_learns_and_repeats_bit_for_bit(name):
-    recipe = replace(RECIPES[name](steps=240, max_gaussians=200), sh_degree=1)
-    recipe = replace(recipe, density=replace(recipe.density, every=20, start=20))
+    recipe = PRESETS[name].build(steps=240, max_gaussians=200)
+    density, sh = replace(recipe.density, every=20, start=20), replace(recipe.sh, degree=1)
+    recipe = replace(recipe, density=density, sh=sh)
     first, second = (run(capture(), recipe) for _ in range(2))
     gaussians = first[-1][3].gaussians
     assert len(gaussians) == 200 if name == "default" else 80 < len(gaussians) < 200
@@ -55,14 +56,14 @@ def test_training_grows_to_the_most_learns_and_repeats_bit_for_bit(name):
 
 
 def test_absgrad_is_classic_with_another_signal():
-    absgrad, classic = (RECIPES[name](steps=2000).density for name in ("absgrad", "classic"))
+    absgrad, classic = (PRESETS[name].build(steps=2000).density for name in ("absgrad", "classic"))
     assert replace(classic, absolute=True, pull_threshold=8e-4) == absgrad
 
 
 def test_absgrad_sees_pulls_that_cancel_out_for_classic():
     states = []
     for name in ("classic", "absgrad"):
-        recipe = replace(RECIPES[name](steps=20), sh_degree=1)
+        recipe = replace(PRESETS[name].build(steps=20), sh=ShSchedule(1))
         *_, (_, _, _, progress) = run(capture(), recipe)
         states.append(progress.state.train.density_state)
     classic, absgrad = states
@@ -95,8 +96,8 @@ def test_room_grows_with_pixels_and_with_the_root_of_the_number_of_photos():
 def test_default_beats_classic_at_equal_steps(tmp_path):
     write_capture(tmp_path)
     dataset = sx.load_dataset(tmp_path)
-    classic = sx.fit(dataset, RECIPES["classic"](steps=2000))
-    default = sx.fit(dataset, RECIPES["default"](steps=2000, max_gaussians=len(classic)))
+    classic = sx.fit(dataset, PRESETS["classic"].build(steps=2000))
+    default = sx.fit(dataset, PRESETS["default"].build(steps=2000, max_gaussians=len(classic)))
     assert len(default) <= len(classic)
     scores = [sx.evaluate(gaussians, dataset.test).psnr for gaussians in (default, classic)]
     assert scores[0] > scores[1] + 0.5

@@ -12,7 +12,7 @@ from shortened import shortened
 from splatax.losses import Photometric
 from splatax.training.capacity import pad
 from splatax.training.loop import RunState, first_state
-from splatax.training.recipes import RECIPES
+from splatax.training.recipes import PRESETS
 from training.test_training import capture
 
 
@@ -20,8 +20,8 @@ from training.test_training import capture
 class Touchy(Photometric):
     """A loss that is not finite for black photos."""
 
-    def __call__(self, image, photo, mask=None, backend="auto"):
-        return jnp.where(photo.max() > 0, super().__call__(image, photo, mask, backend=backend), jnp.nan)
+    def __call__(self, image, photo, mask, kernel):
+        return jnp.where(photo.max() > 0, super().__call__(image, photo, mask, kernel), jnp.nan)
 
 
 def with_a_black_photo(dataset):
@@ -33,7 +33,7 @@ def finite(gaussians):
     return all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(gaussians))
 
 
-@pytest.mark.parametrize("name", RECIPES)
+@pytest.mark.parametrize("name", PRESETS)
 def test_a_step_without_a_finite_loss_changes_no_gaussian_and_is_counted(name):
     dataset = with_a_black_photo(capture())
     recipe = replace(shortened(name), loss=Touchy())
@@ -51,12 +51,12 @@ def test_a_step_without_a_finite_loss_changes_no_gaussian_and_is_counted(name):
     assert finite(progress.gaussians)
 
 
-@pytest.mark.parametrize("name", RECIPES)
+@pytest.mark.parametrize("name", PRESETS)
 @pytest.mark.parametrize("field", ["means", "log_scales", "opacity_logits", "sh"])
 def test_a_gaussian_that_is_not_finite_is_removed_and_the_rest_learns_on(name, field):
     dataset, recipe = capture(), shortened(name)
     recipe = replace(recipe, backend=sx.backends.resolve("auto"))
-    gaussians = recipe.initialization(dataset, recipe.sh_degree, recipe.seed)
+    gaussians = recipe.initialization(dataset, recipe.sh.degree, recipe.seed)
     broken = replace(gaussians, **{field: getattr(gaussians, field).at[3].set(jnp.nan)})
     start = first_state(pad(broken, 1024), recipe, dataset.extent, len(dataset.train))
     losses = []

@@ -13,9 +13,10 @@ from scenes import camera_at, random_gaussians
 from splatax.errors import DatasetError
 from splatax.evaluation import photo_of, picture
 from splatax.training.backgrounds import BACKGROUNDS, Solid
-from splatax.training.density import Classic, Fixed
+from splatax.training.density import Classic, NoDensityControl
 from splatax.training.initialize import FromPoints, InFrusta, focus_distance
 from splatax.training.optimizer import LearningRates, without_locked_bands
+from splatax.training.recipes import ShSchedule
 from splatax.training.step import photo_over
 
 SIZE = (40, 32)
@@ -44,7 +45,7 @@ def capture(views=6, alpha=False):
 
 
 RECIPE = sx.Recipe(
-    steps=60, density=Classic(every=20, start=10, until=50, pull_threshold=1e-5), sh_degree=1, sh_every=20
+    steps=60, density=Classic(every=20, start=10, until=50, pull_threshold=1e-5), sh=ShSchedule(1, 20)
 )
 
 
@@ -104,7 +105,7 @@ def test_fit_drains_optimize(history):
 
 
 def test_a_scene_without_density_control_keeps_its_number():
-    assert run(capture(), replace(RECIPE, steps=25, density=Fixed()))[-1][2] == 80
+    assert run(capture(), replace(RECIPE, steps=25, density=NoDensityControl()))[-1][2] == 80
 
 
 @pytest.mark.parametrize("name", BACKGROUNDS)

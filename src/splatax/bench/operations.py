@@ -99,10 +99,11 @@ def adam(scene: Scene) -> Operation:
     """Returns an operation that updates all fields of the scene by Adam, in place."""
     # A copy, because the update donates its arguments.
     gaussians = jax.tree.map(jnp.array, scene.gaussians)
-    carried = [gaussians, optimizer.ADAM.init(gaussians)]
+    chosen = Recipe().optimizer
+    carried = [gaussians, chosen.rule().init(gaussians)]
     gradients = jax.tree.map(lambda leaf: jnp.full_like(leaf, 1e-8), gaussians)
-    rates = Recipe().learning_rates.at(jnp.float32(0), jnp.float32(1), gaussians.sh.shape[1])
-    update = jax.jit(optimizer.update, donate_argnums=(0, 2))
+    rates = chosen.rates.at(jnp.float32(0), jnp.float32(1), gaussians.sh.shape[1])
+    update = jax.jit(partial(optimizer.update, rule=chosen.rule), donate_argnums=(0, 2))
 
     def operation() -> Any:
         carried[:] = update(carried[0], gradients, carried[1], rates)

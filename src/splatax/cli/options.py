@@ -16,13 +16,13 @@ from splatax.io import formats
 from splatax.projection import LOW_PASSES, LowPass
 from splatax.training.appearance import APPEARANCES
 from splatax.training.backgrounds import BACKGROUNDS
-from splatax.training.refinement import REFINEMENTS
+from splatax.training.camera_refinement import CAMERA_REFINEMENTS
 
 Downscale = Literal["auto"] | int
 BackendName = Literal["auto", *backends.BACKENDS]  # type: ignore[valid-type]
 BackgroundName = Literal[*BACKGROUNDS]  # type: ignore[valid-type]
 AppearanceName = Literal[*APPEARANCES]  # type: ignore[valid-type]
-RefinementName = Literal[*REFINEMENTS]  # type: ignore[valid-type]
+RefinementName = Literal[*CAMERA_REFINEMENTS]  # type: ignore[valid-type]
 LowPassName = Literal[*LOW_PASSES]  # type: ignore[valid-type]
 
 

@@ -21,7 +21,7 @@ from splatax.projection import Antialiasing
 from splatax.report.history import Evaluation, History
 from splatax.report.page import Comparison, report
 from splatax.report.pictures import animation
-from splatax.training.refinement import Given, refined
+from splatax.training.camera_refinement import FixedCameras, refined
 
 
 @dataclass(frozen=True)
@@ -118,10 +118,10 @@ class Run:
 
 def keep_cameras(out: Path, dataset: sx.Dataset, recipe: sx.Recipe, last: sx.Progress) -> None:
     """Writes the cameras as a COLMAP model if they were refined, those of held-out photos as given."""
-    if isinstance(recipe.refinement, Given):
+    if isinstance(recipe.camera_refinement, FixedCameras):
         return
     state = last.state.train
-    found = refined(recipe.refinement, state.cameras, dataset.train, state.extent)
+    found = refined(recipe.camera_refinement, state.cameras, dataset.train, state.extent)
     colmap_writing.save(out / "refined", (*found, *dataset.test), dataset.points)
     print(f"cameras {out / 'refined' / colmap_writing.PLACE}")
 

@@ -32,10 +32,9 @@ from splatax.projection import LOW_PASSES
 from splatax.report.history import History
 from splatax.training.appearance import APPEARANCES
 from splatax.training.backgrounds import BACKGROUNDS
-from splatax.training.density import Classic
-from splatax.training.initialize import FromPoints, InFrusta
-from splatax.training.recipes import RECIPES, room_for
-from splatax.training.refinement import REFINEMENTS
+from splatax.training.camera_refinement import CAMERA_REFINEMENTS
+from splatax.training.protocols import Initialization
+from splatax.training.recipes import PRESETS
 from splatax.viewer.server import LOCAL, PORT
 
 WATCHING = {"view", "host", "port"}
@@ -43,7 +42,7 @@ WATCHING = {"view", "host", "port"}
 FREE = {"scene", "title", "resume", "repeat", "checkpoint_every", "checkpoint_steps"} | WATCHING
 NOT_REPEATED = {"out": None, "overwrite": False, "budget": None}  # a plan is repeated as it was made
 
-RecipeName = Literal[*RECIPES]  # type: ignore[valid-type]
+RecipeName = Literal[*PRESETS]  # type: ignore[valid-type]
 
 
 @dataclass(frozen=True)
@@ -253,7 +252,7 @@ class Train:
         """How many Gaussians there may be, but for memory."""
         if self.max_gaussians != "auto":
             return self.max_gaussians
-        return Classic.max_gaussians if self.recipe in ("classic", "absgrad") else room_for(dataset)
+        return PRESETS[self.recipe].max_gaussians(dataset)
 
     def refuse_what_is_out_of_range(self) -> None:
         """Raises InputError if a number makes no sense."""
@@ -269,9 +268,10 @@ class Train:
         """Raises InputError if there is a budget that is no time, or nothing is left for it to plan."""
         if self.budget is None:
             return
-        if self.recipe != "default" or self.steps != Train.steps:
+        if not PRESETS[self.recipe].plannable or self.steps != Train.steps:
+            plannable = " or ".join(name for name, preset in PRESETS.items() if preset.plannable)
             raise InputError(
-                "--budget: plans the steps of the recipe default. Leave out --recipe and --steps."
+                f"--budget: plans the steps of the recipe {plannable}. Leave out --recipe and --steps."
             )
         parse_budget(self.budget)
 
@@ -281,19 +281,19 @@ class Train:
         Raises:
             InputError: if the backend cannot run here.
         """
-        recipe = RECIPES[self.recipe](steps=self.steps, max_gaussians=self.most(dataset))
+        recipe = PRESETS[self.recipe].build(steps=self.steps, max_gaussians=self.most(dataset))
         return replace(
             recipe,
             initialization=self.initialization(),
             background=BACKGROUNDS[self.background] if self.background else recipe.background,
             appearance=APPEARANCES[self.appearance],
-            refinement=REFINEMENTS[self.refine],
+            camera_refinement=CAMERA_REFINEMENTS[self.refine],
             low_pass=LOW_PASSES[self.low_pass],
             backend=resolve_backend(self.backend),
             seed=self.seed,
         )
 
-    def initialization(self) -> FromPoints | InFrusta:
-        """What the scene starts from."""
-        start = RECIPES[self.recipe](steps=self.steps).initialization
-        return InFrusta(opacity=start.opacity, scale=start.scale) if self.init == "random" else start
+    def initialization(self) -> Initialization:
+        """Returns how the first Gaussians are created."""
+        preset = PRESETS[self.recipe]
+        return preset.random_start if self.init == "random" else preset.build(steps=self.steps).initialization

@@ -1,4 +1,4 @@
-"""How each photo shows the colours of the scene: exposure and white balance that the camera chose for it."""
+"""Models of the differences in exposure and white balance between photos."""
 
 from dataclasses import dataclass, replace
 
@@ -6,46 +6,48 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from splatax.training import rows
-from splatax.training.feed import Source
-from splatax.training.rows import Rows, Unlearned
+from splatax.training import per_photo
+from splatax.training.per_photo import NoParameters, PerPhoto
+from splatax.training.protocols import Appearance, Source
 
 
 @dataclass(frozen=True)
-class Neutral(Unlearned):
-    """All photos show the colours of the scene as they are."""
+class NoAppearance(NoParameters):
+    """Assumes that all photos show the colours of the scene."""
 
-    def __call__(self, known: tuple[()], sums: Float[Array, "h w 3"], alpha: Float[Array, "h w"]):
-        """The rendering as the photo would show it: as it is."""
+    def __call__(
+        self, parameters: tuple[()], sums: Float[Array, "h w 3"], alpha: Float[Array, "h w"]
+    ) -> Float[Array, "h w 3"]:
+        """Returns the rendering unchanged."""
         return sums
 
 
 @dataclass(frozen=True)
 class Exposure:
-    """An affine map of colour for each photo, c' = (I + D) c + d.
+    """Learns an affine map of colours for each photo, c' = (I + D) c + d.
 
-    It maps the scene alone, and not the background behind it. The maps have the identity as their mean
-    over photos, so that the scene has the colours of a mean photo, and not some that only the maps
-    would make right. The rates are those of the authors' code of Kerbl et al. 2023.
+    The map applies to the scene and not to the background behind it. The mean of the maps over the
+    photos is held at the identity, so that the scene has the colours of a mean photo. The learning rates
+    are those of the authors' code of Kerbl et al. 2023.
     """
 
-    rate: float = 0.01  # of Adam, at the start
-    rate_final: float = 0.001  # at the end; log-linear between
+    rate: float = 0.01  # learning rate at the start
+    rate_final: float = 0.001  # learning rate at the end; log-linear between
 
-    def init(self, photos: int) -> Rows:
-        """Identities: a row has D and d, [D | d] row by row."""
-        return rows.zeros(photos, 12)
+    def init(self, photos: int) -> PerPhoto:
+        """Returns identity maps: a row holds [D | d], row by row."""
+        return per_photo.zeros(photos, 12)
 
-    def of(self, state: Rows, source: Source) -> Float[Array, "12"]:
-        """The row of a photo."""
+    def for_photo(self, state: PerPhoto, source: Source) -> Float[Array, "12"]:
+        """Returns the map of one photo."""
         return state.values[source.view]
 
     @jax.default_matmul_precision("highest")
     def __call__(
-        self, known: Float[Array, "12"], sums: Float[Array, "h w 3"], alpha: Float[Array, "h w"]
+        self, parameters: Float[Array, "12"], sums: Float[Array, "h w 3"], alpha: Float[Array, "h w"]
     ) -> Float[Array, "h w 3"]:
-        """The rendering, weighted by alpha, as the photo would show it."""
-        change = known.reshape(3, 4)
+        """Applies the map of a photo to the rendering, which is weighted by alpha."""
+        change = parameters.reshape(3, 4)
         return (
             sums
             + jnp.einsum("hwc,kc->hwk", sums, change[:, :3])
@@ -53,13 +55,17 @@ class Exposure:
         )
 
     def update(
-        self, state: Rows, source: Source, gradient: Float[Array, "12"], progress: Float[Array, ""]
-    ) -> Rows:
-        """The state after a step."""
-        rate = rows.falling(self.rate, self.rate_final, progress)
-        state = rows.moved(state, source.view, gradient, rate)
-        return replace(state, values=rows.centred(state.values))
+        self,
+        state: PerPhoto,
+        source: Source,
+        gradient: Float[Array, "12"],
+        progress: Float[Array, ""],
+        steps: Float[Array, ""],
+    ) -> PerPhoto:
+        """Makes one step for one photo, then restores the mean map to the identity."""
+        rate = per_photo.log_linear(self.rate, self.rate_final, progress)
+        state = per_photo.updated(state, source.view, gradient, rate)
+        return replace(state, values=per_photo.centred(state.values))
 
 
-Appearance = Neutral | Exposure
-APPEARANCES: dict[str, Appearance] = {"none": Neutral(), "exposure": Exposure()}
+APPEARANCES: dict[str, Appearance] = {"none": NoAppearance(), "exposure": Exposure()}

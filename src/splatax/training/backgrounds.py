@@ -1,4 +1,4 @@
-"""What is behind the scene while it trains."""
+"""Backgrounds: the colour behind the scene, and behind photos with alpha, during training."""
 
 from dataclasses import dataclass
 
@@ -6,28 +6,29 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from splatax.training.protocols import Background
+
 
 @dataclass(frozen=True)
 class Solid:
-    """One colour. Photos with alpha are composited over it."""
+    """The same colour at every step."""
 
     rgb: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def sample(self, key: PRNGKeyArray) -> Float[Array, "3"]:
-        """The background of a step."""
+        """Returns the colour."""
         return jnp.array(self.rgb)
 
 
 @dataclass(frozen=True)
 class Random:
-    """Another colour at each step, so that no Gaussian can pass for background: against haze."""
+    """A new colour at every step, which prevents haze: no Gaussian can imitate the background."""
 
-    rgb: tuple[float, float, float] = (0.0, 0.0, 0.0)  # where evaluation needs one
+    rgb: tuple[float, float, float] = (0.0, 0.0, 0.0)  # for evaluation and pictures
 
     def sample(self, key: PRNGKeyArray) -> Float[Array, "3"]:
-        """The background of a step."""
+        """Returns a uniformly distributed colour."""
         return jax.random.uniform(key, (3,))
 
 
-Background = Solid | Random
 BACKGROUNDS: dict[str, Background] = {"black": Solid(), "white": Solid((1.0, 1.0, 1.0)), "random": Random()}

@@ -1,4 +1,4 @@
-"""Arrays a little larger than the scene, so that its growth compiles a program O(log n) times."""
+"""Arrays with spare rows, so that a scene that grows to n Gaussians compiles O(log n) programs."""
 
 from dataclasses import replace
 
@@ -13,8 +13,13 @@ SMALLEST = 1024
 
 
 def bucket_for(count: int, current: int = SMALLEST, most: int | None = None) -> int:
-    """The capacity for `count` Gaussians: `current` if they fit, else doubled until they do, but no more
-    than `most` of them, where that is known, will need."""
+    """Returns the number of rows for `count` Gaussians.
+
+    Args:
+        count: number of living Gaussians.
+        current: rows that there are; they are doubled until the Gaussians fit.
+        most: number that the scene will never exceed, if that is known; the rows do not exceed it either.
+    """
     if most is not None and current < count <= most:
         return min(bucket_for(count, current), most)
     while current < count:
@@ -23,7 +28,7 @@ def bucket_for(count: int, current: int = SMALLEST, most: int | None = None) -> 
 
 
 def pad(gaussians: Gaussians, capacity: int) -> Gaussians:
-    """Appends empty slots."""
+    """Appends empty slots up to `capacity` rows."""
     count = len(gaussians)
     padded = jax.tree.map(
         lambda leaf: jnp.pad(leaf, [(0, capacity - count)] + [(0, 0)] * (leaf.ndim - 1)), gaussians
@@ -32,15 +37,18 @@ def pad(gaussians: Gaussians, capacity: int) -> Gaussians:
 
 
 def with_empty_slots(gaussians: Gaussians, count: Int[Array, ""]) -> Gaussians:
-    """The same rows, but those from `count` on are empty slots: exactly transparent."""
+    """Turns the rows from `count` on into empty slots, which are exactly transparent."""
     living = jnp.arange(len(gaussians)) < count
     return replace(gaussians, opacity_logits=jnp.where(living, gaussians.opacity_logits, -jnp.inf))
 
 
 @jax.jit
 def without_broken(gaussians: Gaussians) -> tuple[Gaussians, Int[Array, ""]]:
-    """The same, but with empty slots where a Gaussian is not finite; and how many those are."""
+    """Replaces each Gaussian that has a number that is not finite by an empty slot.
 
+    Returns:
+        The scene, and the number of Gaussians that were replaced.
+    """
     logits = gaussians.opacity_logits
     good = jnp.isfinite(logits) | jnp.isneginf(logits)
     for leaf in (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.sh):

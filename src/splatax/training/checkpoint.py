@@ -29,7 +29,7 @@ from splatax.training.step import TrainState
 
 HEADER = "header"  # name of its member
 STATE = "state/"  # what the names of the run's arrays start with
-PER_PHOTO = ("appearance/visits", "cameras/visits", "cameras/poses/visits")  # arrays with a row for each
+PER_PHOTO = ("appearance/values", "cameras/values", "cameras/poses/values")  # arrays with a row for each
 DAMAGES = (  # what reading a damaged file may raise
     zipfile.BadZipFile,
     zlib.error,
@@ -158,7 +158,7 @@ def _shapes(stored: Mapping[str, np.ndarray], recipe: Recipe) -> TrainState:
     def empty(*shape: int):
         return jax.ShapeDtypeStruct((rows, *shape), jnp.float32)
 
-    gaussians = Gaussians(empty(3), empty(4), empty(3), empty(), empty(harmonics.count(recipe.sh_degree), 3))
+    gaussians = Gaussians(empty(3), empty(4), empty(3), empty(), empty(harmonics.count(recipe.sh.degree), 3))
     return jax.eval_shape(partial(first_state, recipe=recipe, extent=1.0, photos=photos), gaussians)
 
 

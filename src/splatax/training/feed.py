@@ -1,29 +1,21 @@
-"""Training views in random order, as batches for the device."""
+"""Batches of training: the training views in random order, read ahead and sent to the device."""
 
 import math
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import count, islice
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Int, UInt8
+from jaxtyping import Array, Bool, UInt8
 
 from splatax.camera import Camera
 from splatax.dataset import Mask, Pixels, View
-from splatax.training.album import Album
+from splatax.training.photo_cache import PhotoCache
+from splatax.training.protocols import ResolutionSchedule, Source
 from splatax.training.resolution import Resolution
-
-
-class Source(NamedTuple):
-    """Which photo a batch shows, and which lens took it: their numbers, from 0."""
-
-    view: Int[Array, ""] | np.int32
-    lens: Int[Array, ""] | np.int32
-
 
 FIRST = Source(np.int32(0), np.int32(0))
 
@@ -31,8 +23,15 @@ FIRST = Source(np.int32(0), np.int32(0))
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Batch:
-    """One view: its camera, its photo as 8-bit RGB or RGBA, which pixels count (None: all), which of the
-    training views it is, and by what its size was divided."""
+    """One training view, on the device.
+
+    Attributes:
+        camera: of the size of the photo.
+        photo: 8-bit RGB or RGBA.
+        mask: true where a pixel counts; None if all do.
+        source: indices of the view and of its lens.
+        divisor: factor by which the photo was downscaled (static).
+    """
 
     camera: Camera
     photo: UInt8[Array, "h w c"]
@@ -45,19 +44,21 @@ def batches(
     views: Sequence[View],
     seed: int,
     start: int = 0,
-    resolution: Resolution = Resolution(),
+    resolution: ResolutionSchedule = Resolution(),
     room: int | float = math.inf,
 ) -> Iterator[Batch]:
-    """All views in a new random order, again and again, each read while the one before is learned from.
+    """Yields all views in random order, then again in another order, without end.
+
+    Each view is read in a thread while the caller trains on the view before.
 
     Args:
-        views: at least one.
+        views: the training views, at least one.
         seed: of the order.
-        start: how many batches to leave out; the rest are the same as without.
-        resolution: of each step; the first batch is for step 1.
-        room: for decoded photos, bytes.
+        start: number of batches to skip; the batches that follow do not depend on it.
+        resolution: size of the photos at each step; the first batch is for step 1.
+        room: bytes of memory for decoded photos.
     """
-    album = Album(views, room)
+    cache = PhotoCache(views, room)
     origin = sources(views)
     indices = islice(order(len(views), seed, start // len(views)), start % len(views), None)
     sizes = [(view.camera.width, view.camera.height) for view in views]
@@ -66,21 +67,21 @@ def batches(
     )
     with ThreadPoolExecutor(1) as reader:
         index, divisor = next(wanted)
-        coming = reader.submit(album.frame, index, divisor)
+        coming = reader.submit(cache.frame, index, divisor)
         while True:
             frame, here = coming.result(), (origin[index], divisor)
             index, divisor = next(wanted)
-            coming = reader.submit(album.frame, index, divisor)
+            coming = reader.submit(cache.frame, index, divisor)
             yield batch(*frame, *here)
 
 
 def batch(camera: Camera, photo: Pixels, mask: Mask | None, source: Source, divisor: int) -> Batch:
-    """A view on the device."""
+    """Copies a view to the device."""
     return Batch(camera, jnp.asarray(photo), None if mask is None else jnp.asarray(mask), source, divisor)
 
 
 def sources(views: Sequence[View]) -> list[Source]:
-    """Of each view. Photos share a lens if their cameras have the same intrinsics and size."""
+    """Returns the source of each view. Two photos have the same lens if intrinsics and size are equal."""
     lenses: dict[tuple[float, ...], int] = {}
     found = []
     for index, view in enumerate(views):
@@ -92,6 +93,9 @@ def sources(views: Sequence[View]) -> list[Source]:
 
 
 def order(views: int, seed: int, epoch: int) -> Iterator[int]:
-    """Indices of views from an epoch on: each epoch's order depends on the seed and its number alone."""
+    """Yields indices of views from an epoch on.
+
+    The order of an epoch depends only on its number and the seed.
+    """
     for number in count(epoch):
         yield from np.random.default_rng((seed, number)).permutation(views).tolist()

@@ -1,4 +1,4 @@
-"""The first Gaussians: from points of structure from motion, or at random where cameras look."""
+"""Initialization: the first Gaussians, from the capture's points or at random in front of the cameras."""
 
 import math
 from dataclasses import dataclass
@@ -15,26 +15,28 @@ from splatax.math import harmonics
 from splatax.math.neighbours import mean_squared_distances
 from splatax.projection import NEAR
 
-SMALLEST = 0.01  # of the median distance between neighbours: size of points that coincide
+SMALLEST = 0.01  # size of Gaussians on coincident points, as a fraction of the median neighbour distance
 
 
 @dataclass(frozen=True)
 class FromPoints:
-    """A round Gaussian on each point, as large as its neighbours are far (Kerbl et al. 2023).
+    """Places a round Gaussian on each point, as large as its neighbours are far (Kerbl et al. 2023).
 
-    Points that stand alone are mostly wrong, and would be the largest Gaussians: they are left out.
+    Isolated points are left out: most are wrong matches, and they would become the largest Gaussians.
     """
 
     opacity: float = 0.1
-    scale: float = 1.0  # times the root mean square distance to the 3 nearest points
-    isolation: float = 6.0  # how far is too far: robust standard deviations of the log of that distance
+    scale: float = 1.0  # size, as a multiple of the root mean square distance to the 3 nearest points
+    isolation: float = (
+        6.0  # robust standard deviations of the log of that distance; points farther apart are left out
+    )
 
     def number(self, dataset: Dataset) -> int:
-        """How many there will be, but for points that stand alone."""
+        """Returns the number of points, isolated ones included."""
         return len(dataset.points)
 
     def __call__(self, dataset: Dataset, sh_degree: int, seed: int) -> Gaussians:
-        """The start of training on a capture.
+        """Returns a Gaussian for each point that is not isolated.
 
         Raises:
             DatasetError: if the capture has no points.
@@ -42,7 +44,7 @@ class FromPoints:
         points = dataset.points
         if not len(points):
             raise DatasetError(
-                "The capture has no points to start from. Start at random: --init random, or "
+                "The capture has no points to start from. Start from random Gaussians: "
                 "Recipe(initialization=InFrusta())."
             )
         kept = ~isolated(points.positions, self.isolation)
@@ -52,20 +54,20 @@ class FromPoints:
 
 @dataclass(frozen=True)
 class InFrusta:
-    """Round Gaussians of random colour, spread over what the training cameras see."""
+    """Places round Gaussians of random colour at random in the frusta of the training cameras."""
 
     count: int = 20_000
     opacity: float = 0.1
-    scale: float = 1.0  # times the root mean square distance to the 3 nearest
-    nearest: float = 0.3  # of the distance to where the cameras look
-    farthest: float = 4.0  # of it; even in inverse depth between
+    scale: float = 1.0  # size, as a multiple of the root mean square distance to the 3 nearest
+    nearest: float = 0.3  # depth, as a fraction of the distance that the cameras look at
+    farthest: float = 4.0  # depth, as a multiple of it; uniform in inverse depth between
 
     def number(self, dataset: Dataset) -> int:
-        """How many there will be."""
+        """Returns the number of Gaussians."""
         return self.count
 
     def __call__(self, dataset: Dataset, sh_degree: int, seed: int) -> Gaussians:
-        """The start of training on a capture."""
+        """Returns Gaussians of random positions and colours."""
         rng = np.random.default_rng(seed)
         cameras = [view.camera for view in dataset.train]
         distance = focus_distance(cameras, dataset.extent)
@@ -81,22 +83,27 @@ class InFrusta:
 
 
 def isolated(positions: Float[np.ndarray, "n 3"], deviations: float) -> Bool[np.ndarray, " n"]:
-    """Which points stand alone: their neighbours are far by the measure of all points, 10 times as far at
-    least as is usual."""
+    """Returns which points are isolated.
+
+    A point is isolated if the distance to its neighbours exceeds the median of all points by this many robust
+    standard deviations of its logarithm, and by a factor of 10.
+    """
     distances = np.sqrt(mean_squared_distances(positions))
     apart = np.log(distances[distances > 0])
     if not len(apart):
         return np.zeros(len(positions), bool)
     usual = np.median(apart)
-    spread = 1.4826 * np.median(np.abs(apart - usual))  # the standard deviation, if they were normal
+    spread = 1.4826 * np.median(
+        np.abs(apart - usual)
+    )  # equals the standard deviation of a normal distribution
     return distances > np.exp(usual + max(deviations * spread, math.log(10)))
 
 
 def require_visible(gaussians: Gaussians, dataset: Dataset) -> None:
-    """Makes sure that there is something to learn from.
+    """Checks that at least one Gaussian is in front of a training camera.
 
     Raises:
-        DatasetError: if no Gaussian is in front of a training camera: nothing would ever move.
+        DatasetError: if none is: no Gaussian would ever get a gradient.
     """
     means = np.asarray(gaussians.means)
     for view in dataset.train:
@@ -111,10 +118,10 @@ def require_visible(gaussians: Gaussians, dataset: Dataset) -> None:
 
 
 def focus_distance(cameras: list[Camera], extent: float) -> float:
-    """How far the cameras look: the median distance to the point nearest to all optical axes.
+    """Returns the median distance of the cameras to the point nearest to all optical axes, world units.
 
-    Where axes are nearly parallel that point is nowhere in particular; it is then taken within 1
-    to 10 extents of the scene.
+    The point is ill-defined if the axes are nearly parallel, so the distance is clipped to 1 to 10 extents
+    of the scene.
     """
     rotations = np.stack([np.asarray(camera.rotation, np.float64) for camera in cameras])
     positions = np.stack([np.asarray(camera.position, np.float64) for camera in cameras])
@@ -129,7 +136,7 @@ def focus_distance(cameras: list[Camera], extent: float) -> float:
 def unproject(
     camera: Camera, fractions: Float[np.ndarray, "n 2"], depths: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n 3"]:
-    """World points at fractions of the image and at camera depths."""
+    """Returns world points at fractions of the image and at camera depths."""
     pixels = fractions * [camera.width, camera.height]
     slopes = (pixels - [float(camera.cx), float(camera.cy)]) / [float(camera.fx), float(camera.fy)]
     local = np.concatenate([slopes, np.ones((len(slopes), 1))], axis=1) * depths[:, None]

@@ -1,4 +1,4 @@
-"""Training as a generator: progress bars, evaluation and viewers are `for` loops over it."""
+"""The training loop, a generator: progress bars, evaluation and viewers are `for` loops over it."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -12,21 +12,21 @@ from splatax import backends
 from splatax.dataset import Dataset
 from splatax.errors import DatasetError
 from splatax.gaussians import Gaussians
-from splatax.training import optimizer
 from splatax.training.capacity import bucket_for, pad, without_broken
 from splatax.training.feed import batches
 from splatax.training.initialize import require_visible
+from splatax.training.optimizer import inherit
 from splatax.training.recipes import Recipe
 from splatax.training.step import Faults, TrainState, train_step
 
 
 @dataclass(frozen=True)
 class RunState:
-    """A run between two steps: with the data set and the recipe, all that is needed to go on.
+    """The state of a run between two steps, from which `optimize` can continue it.
 
     Attributes:
-        train: what the steps change. The next step uses it up.
-        count: of living Gaussians.
+        train: what the steps change. The next step donates it: it cannot be used afterwards.
+        count: number of living Gaussians.
     """
 
     train: TrainState
@@ -35,13 +35,13 @@ class RunState:
 
 @dataclass(frozen=True)
 class Progress:
-    """What `optimize` yields after each step.
+    """The result of one step, as `optimize` yields it.
 
     Attributes:
-        step: how many have been made, from 1.
-        total: how many there will be, as planned now.
+        step: number of steps made, from 1.
+        total: number of steps of the whole run, as planned now.
         loss: of the step's view; reading it waits for the step to end.
-        count: of Gaussians.
+        count: number of Gaussians.
     """
 
     step: int
@@ -52,29 +52,34 @@ class Progress:
 
     @property
     def state(self) -> RunState:
-        """What `optimize` needs to go on from here, valid until the next step."""
+        """The state from which `optimize` continues after this step, valid until the next step."""
         return RunState(self._state, self.count)
 
     @property
     def faults(self) -> Faults:
-        """What was not finite until now, valid until the next step."""
+        """Counts of what was not finite until now, valid until the next step."""
         return self._state.faults
 
     @property
     def gaussians(self) -> Gaussians:
-        """A copy of the scene as it is now. The next step uses up what it is copied from, so take
-        it before, or keep the last one."""
+        """A copy of the scene after this step.
+
+        Take it before the next step, which donates the arrays that it is copied from.
+        """
         return jax.tree.map(lambda leaf: jnp.array(leaf[: self.count]), self._state.gaussians)
 
     @property
     def padded(self) -> Gaussians:
-        """The same scene with its empty slots, valid until the next step. To look at a scene that
-        grows, render this: its shape, and with it the compiled program, changes rarely."""
+        """The scene with its empty slots, valid until the next step.
+
+        Render this to display a scene that grows: its shape, and with it the compiled program, changes
+        rarely.
+        """
         return self._state.gaussians
 
 
 def fit(dataset: Dataset, recipe: Recipe) -> Gaussians:
-    """Trains a scene to the end; see `optimize`."""
+    """Trains a scene to the end and returns it; see `optimize`."""
     for progress in optimize(dataset, recipe):
         pass
     return progress.gaussians
@@ -91,11 +96,12 @@ def optimize(
 
     Args:
         dataset: the capture.
-        recipe: how.
-        start: a run of the same data set and recipe, to go on as if it had never stopped. It is used up.
-        pace: asked after each step, once it has been yielded; may say how many steps the run shall have
-            from now on instead of the recipe's.
-        photo_room: bytes of memory for decoded photos; those that do not fit are read for each step.
+        recipe: the settings.
+        start: state of a run of the same capture and recipe, which continues as if it had never been
+            stopped. The state is donated: it cannot be used afterwards.
+        pace: called with the number of steps after each step, once that has been yielded. It returns a
+            new total number of steps for the run, or None to keep the present one.
+        photo_room: bytes of memory for decoded photos; those that do not fit are decoded for each step.
 
     Raises:
         DatasetError: if there are no training views, or nothing to start from that they see.
@@ -107,7 +113,7 @@ def optimize(
         raise ValueError(f"a recipe needs at least one step, not {recipe.steps}")
     recipe = replace(recipe, backend=backends.resolve(recipe.backend))
     if start is None:
-        gaussians = recipe.initialization(dataset, recipe.sh_degree, recipe.seed)
+        gaussians = recipe.initialization(dataset, recipe.sh.degree, recipe.seed)
         require_visible(gaussians, dataset)
         padded = pad(gaussians, bucket_for(len(gaussians)))
         start = RunState(first_state(padded, recipe, dataset.extent, len(dataset.train)), len(gaussians))
@@ -115,16 +121,23 @@ def optimize(
 
 
 def first_state(gaussians: Gaussians, recipe: Recipe, extent: float, photos: int) -> TrainState:
-    """Before any step, from a padded scene and so many photos."""
+    """Returns the state before the first step.
+
+    Args:
+        gaussians: the first scene, with its empty slots.
+        recipe: the settings.
+        extent: of the scene, world units.
+        photos: number of training photos.
+    """
     key, _ = _keys(recipe)
     return TrainState(
         step=jnp.int32(0),
         total=jnp.int32(recipe.steps),
         gaussians=gaussians,
-        opt_state=optimizer.ADAM.init(gaussians),
+        opt_state=recipe.optimizer.rule().init(gaussians),
         density_state=recipe.density.init(len(gaussians)),
         appearance=recipe.appearance.init(photos),
-        cameras=recipe.refinement.init(photos),
+        cameras=recipe.camera_refinement.init(photos),
         key=key,
         extent=jnp.float32(extent),
         faults=Faults(jnp.int32(0), jnp.int32(0)),
@@ -132,7 +145,7 @@ def first_state(gaussians: Gaussians, recipe: Recipe, extent: float, photos: int
 
 
 def _keys(recipe: Recipe) -> tuple[PRNGKeyArray, PRNGKeyArray]:
-    """Of the steps and of the refinements."""
+    """Returns the random keys for training steps and for density refinements."""
     key, refine_key = jax.random.split(jax.random.key(recipe.seed))
     return key, refine_key
 
@@ -166,7 +179,7 @@ def _steps(
             state = replace(
                 state,
                 gaussians=refined.gaussians,
-                opt_state=optimizer.inherit(state.opt_state, refined.lineage),
+                opt_state=inherit(state.opt_state, refined.lineage, refined.gaussians, recipe.optimizer.rule),
                 density_state=refined.state,
                 faults=state.faults._replace(gaussians=state.faults.gaussians + broken),
             )

@@ -1,4 +1,4 @@
-"""Noise in the steps of training, so that it explores: stochastic gradient Langevin dynamics."""
+"""Noise that is added to the scene at each training step: stochastic gradient Langevin dynamics."""
 
 from dataclasses import dataclass, replace
 
@@ -9,29 +9,29 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from splatax.gaussians import Gaussians
 from splatax.math import ellipsoids
 
-SHARPNESS = 100  # of the gate, which lets through the noise of faint Gaussians alone
-FAINT = 0.005  # opacity at which it is half open
+SHARPNESS = 100  # slope of the gate, which lets noise through to faint Gaussians only
+FAINT = 0.005  # opacity at which the gate is half open
 
 
 @dataclass(frozen=True)
-class Still:
-    """No noise."""
+class NoNoise:
+    """Adds no noise."""
 
     def __call__(
         self, gaussians: Gaussians, rate: Float[Array, ""], extent: Float[Array, ""], key: PRNGKeyArray
     ) -> Gaussians:
-        """The scene as it is."""
+        """Returns the scene unchanged."""
         return gaussians
 
 
 @dataclass(frozen=True)
 class Langevin:
-    """Shakes the centres of faint Gaussians along their own shape (Kheradmand et al. 2024, Eq. 7).
+    """Moves the centres of faint Gaussians at random, by their covariance (Kheradmand et al. 2024, Eq. 7).
 
     mean += strength * rate * Sigma (eps * sigmoid(-100 (opacity - 0.005))),   eps ~ N(0, I),
 
-    with the learning rate of means and Sigma in units of the scene's extent, so that the size of the
-    world changes nothing. Empty slots stay where they are.
+    with the learning rate of the means, and Sigma in units of the scene's extent, so that the result does
+    not depend on the unit of length. Empty slots do not move.
     """
 
     strength: float = 5e5
@@ -39,11 +39,11 @@ class Langevin:
     def __call__(
         self, gaussians: Gaussians, rate: Float[Array, ""], extent: Float[Array, ""], key: PRNGKeyArray
     ) -> Gaussians:
-        """The scene after the shake.
+        """Returns the scene with noise in its means.
 
         Args:
             gaussians: the scene.
-            rate: of means, world units a step.
+            rate: learning rate of the means, world units per step.
             extent: of the scene, world units.
             key: of this step.
         """
@@ -55,9 +55,6 @@ class Langevin:
 
 
 def _by_covariance(quat: Float[Array, "4"], scale: Float[Array, "3"], v: Float[Array, "3"]):
-    """Sigma v."""
+    """Returns Sigma v."""
     factor = ellipsoids.covariance_factor(quat, scale)
     return factor @ (factor.T @ v)
-
-
-Noise = Still | Langevin

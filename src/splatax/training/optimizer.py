@@ -1,45 +1,59 @@
-"""One Adam for all fields, a learning rate for each, and moments that follow their Gaussians."""
+"""The optimizer of the scene: an update rule of optax, a learning rate for each field, and noise."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from splatax.gaussians import Gaussians
 from splatax.math import harmonics, quaternions
-from splatax.training.density.protocol import Lineage
+from splatax.training.noise import NoNoise
+from splatax.training.protocols import Lineage, Noise, UpdateRule
 
-ADAM = optax.scale_by_adam(b1=0.9, b2=0.999, eps=1e-15)  # epsilon of Kerbl et al. 2023: rates alone decide
+
+@dataclass(frozen=True)
+class Adam:
+    """Adam (Kingma and Ba 2015) with the constants of the authors' code of Kerbl et al. 2023."""
+
+    b1: float = 0.9  # decay of the mean of gradients per step
+    b2: float = 0.999  # decay of the mean of their squares per step
+    eps: float = 1e-15  # so small that the learning rates alone decide the length of a step
+
+    def __call__(self) -> optax.GradientTransformation:
+        """Returns Adam for a learning rate of 1."""
+        return optax.adam(1.0, self.b1, self.b2, self.eps)
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class LearningRates:
-    """Steps of Adam for each field (authors' code of Kerbl et al. 2023).
+    """Learning rates of the fields (authors' code of Kerbl et al. 2023).
 
-    There, all but the means' stay as they are. If they fall at the end instead, Gaussians come to rest
-    where they fit all photos, not the last few.
+    The authors keep all rates but that of the means constant. Rates that fall at the end of the run let
+    the Gaussians settle where they fit all photos, and not the last few.
     """
 
     means: float = 1.6e-4  # times the scene's extent, at the start
     means_final: float = 1.6e-6  # times the scene's extent, at the end; log-linear between
-    sh_dc: float = 2.5e-3
-    sh_rest: float = 2.5e-3 / 20
+    sh_dc: float = 2.5e-3  # band 0 of the spherical harmonics
+    sh_rest: float = 2.5e-3 / 20  # the other bands
     opacity_logits: float = 0.05
     log_scales: float = 5e-3
     quats: float = 1e-3
-    settled: float = 1.0  # what all but the means' end at, of the above
-    settling_from: float = 0.85  # share of the run after which they fall, log-linearly
+    settled: float = 1.0  # final rate of all fields but the means, as a fraction of the rate above
+    settling_from: float = 0.85  # fraction of the run after which these rates fall, log-linearly
 
     def at(self, progress: Float[Array, ""], extent: Float[Array, ""], coefficients: int) -> Gaussians:
-        """Rates in the shape of a scene of one Gaussian.
+        """Returns the learning rates in the shape of a scene of one Gaussian.
 
         Args:
-            progress: share of the run that is done, 0 to 1.
+            progress: fraction of the run that is done, 0 to 1.
             extent: of the scene, world units.
-            coefficients: of spherical harmonics.
+            coefficients: number of spherical harmonics.
         """
         means = self.means * (self.means_final / self.means) ** progress * extent
         fall = self.settled ** jnp.clip((progress - self.settling_from) / (1 - self.settling_from), 0, 1)
@@ -53,34 +67,85 @@ class LearningRates:
         )
 
 
-def without_locked_bands(
-    gradients: Gaussians, step: Int[Array, ""], sh_every: int | Int[Array, ""]
-) -> Gaussians:
-    """Zeroes the gradients of SH bands that are not free yet: band l is after l * `sh_every` steps."""
-    band = jnp.array([l for l in range(harmonics.MAX_DEGREE + 1) for _ in range(2 * l + 1)])
-    free = band[: gradients.sh.shape[1]] * sh_every <= step
-    return replace(gradients, sh=jnp.where(free[None, :, None], gradients.sh, 0))
+@dataclass(frozen=True)
+class Optimizer:
+    """Moves the Gaussians: field += learning rate * update, then noise.
+
+    Attributes:
+        rule: builds a transformation of optax whose updates are for a learning rate of 1, such as `Adam()`
+            or `functools.partial(optax.rmsprop, 1.0)`.
+        rates: learning rates of the fields.
+        noise: added to the scene after each step.
+    """
+
+    rule: UpdateRule = Adam()
+    rates: LearningRates = LearningRates()
+    noise: Noise = NoNoise()
 
 
 def update(
-    gaussians: Gaussians, gradients: Gaussians, opt_state: optax.OptState, rates: Gaussians
+    gaussians: Gaussians, gradients: Gaussians, opt_state: optax.OptState, rates: Gaussians, rule: UpdateRule
 ) -> tuple[Gaussians, optax.OptState]:
-    """One step of Adam; quaternions are unit again after it."""
-    directions, opt_state = ADAM.update(gradients, opt_state)
-    gaussians = jax.tree.map(lambda x, d, rate: x - rate * d, gaussians, directions, rates)
+    """Makes one step; quaternions are unit again after it.
+
+    Args:
+        gaussians: the scene.
+        gradients: of the loss.
+        opt_state: of the rule's transformation.
+        rates: learning rates, in the shape of a scene of one Gaussian.
+        rule: builds the transformation.
+    """
+    updates, opt_state = rule().update(gradients, opt_state, gaussians)
+    # A rule that reads the parameters, such as one with weight decay, must not move logits of -inf.
+    empty = jnp.isneginf(gaussians.opacity_logits)
+    updates = replace(updates, opacity_logits=jnp.where(empty, 0, updates.opacity_logits))
+    gaussians = jax.tree.map(lambda x, rate, step: x + rate * step, gaussians, rates, updates)
     return replace(gaussians, quats=jax.vmap(quaternions.normalize)(gaussians.quats)), opt_state
 
 
-@jax.jit
-def inherit(opt_state: optax.OptState, lineage: Lineage) -> optax.OptState:
-    """Moments follow their Gaussian to its new row; newborns start from zero."""
+@partial(jax.jit, static_argnames="rule")
+def inherit(
+    opt_state: optax.OptState, lineage: Lineage, gaussians: Gaussians, rule: UpdateRule
+) -> optax.OptState:
+    """Moves the optimizer state of each Gaussian to its new row; that of newborns starts anew.
 
-    def follow(moments: Gaussians) -> Gaussians:
-        def rows(leaf):
-            newborn = lineage.newborn.reshape(-1, *[1] * (leaf.ndim - 1))
-            return jnp.where(newborn, 0, leaf[lineage.parent])
+    Args:
+        opt_state: of the rule's transformation, for the old rows.
+        lineage: where the new rows come from.
+        gaussians: the refined scene.
+        rule: builds the transformation.
 
-        moved = jax.tree.map(rows, moments)
-        return replace(moved, **{name: jnp.zeros_like(getattr(moved, name)) for name in lineage.restarted})
+    Returns:
+        The state for the new rows. Whatever is not of the scene's shape, such as a step count, is kept.
+    """
 
-    return opt_state._replace(mu=follow(opt_state.mu), nu=follow(opt_state.nu))
+    def moved(leaf: Array | optax.MaskedNode) -> Array | optax.MaskedNode:
+        return leaf if is_masked(leaf) else leaf[lineage.parent]
+
+    def starts_anew(leaf: Array | optax.MaskedNode, restarted: bool) -> Array | optax.MaskedNode:
+        return leaf if is_masked(leaf) else _broadcast(lineage.newborn | restarted, leaf.ndim)
+
+    transformation = rule()
+    map_params = partial(optax.tree_utils.tree_map_params, transformation, is_leaf=is_masked)
+    inherited = map_params(moved, opt_state)
+    flags: list[Any] = [field.name in lineage.restarted for field in fields(Gaussians)]
+    anew = map_params(starts_anew, inherited, Gaussians(*flags), transform_non_params=lambda _: False)
+    return jax.tree.map(jnp.where, anew, transformation.init(gaussians), inherited)
+
+
+def is_masked(node: object) -> bool:
+    """Returns whether an optimizer state has nothing in place of a field, as `optax.partition` leaves it."""
+    return isinstance(node, optax.MaskedNode)
+
+
+def _broadcast(rows: Bool[Array, " n"], axes: int) -> Bool[Array, "n ..."]:
+    return rows.reshape(-1, *[1] * (axes - 1))
+
+
+def without_locked_bands(
+    gradients: Gaussians, step: Int[Array, ""], every: int | Int[Array, ""]
+) -> Gaussians:
+    """Zeroes the gradients of SH bands that are still locked: band l opens after l * `every` steps."""
+    band = jnp.array([l for l in range(harmonics.MAX_DEGREE + 1) for _ in range(2 * l + 1)])
+    free = band[: gradients.sh.shape[1]] * every <= step
+    return replace(gradients, sh=jnp.where(free[None, :, None], gradients.sh, 0))

@@ -1,4 +1,4 @@
-"""A recipe: everything that decides how a scene is trained, as one value."""
+"""Recipes: all settings of a training run as one value, and the presets that build them."""
 
 import math
 from collections.abc import Callable
@@ -8,33 +8,52 @@ from splatax.backends.protocol import Kernels
 from splatax.dataset import Dataset
 from splatax.losses import Photometric
 from splatax.projection import Dilation, LowPass
-from splatax.training.appearance import Appearance, Neutral
-from splatax.training.backgrounds import Background, Random, Solid
-from splatax.training.density import ByStep, Classic, DensityStrategy, Mcmc
+from splatax.training.appearance import NoAppearance
+from splatax.training.backgrounds import Random, Solid
+from splatax.training.camera_refinement import FixedCameras
+from splatax.training.density import ByStep, Classic, Mcmc
 from splatax.training.initialize import FromPoints, InFrusta
-from splatax.training.noise import Langevin, Noise, Still
-from splatax.training.optimizer import LearningRates
-from splatax.training.priors import Indifferent, Prior, Sparsity
-from splatax.training.refinement import Given, Refinement
+from splatax.training.noise import Langevin
+from splatax.training.optimizer import LearningRates, Optimizer
+from splatax.training.priors import NoPrior, Sparsity
+from splatax.training.protocols import (
+    Appearance,
+    Background,
+    CameraRefinement,
+    DensityStrategy,
+    Initialization,
+    Loss,
+    Prior,
+    ResolutionSchedule,
+)
 from splatax.training.resolution import Resolution
 
 
 @dataclass(frozen=True)
+class ShSchedule:
+    """The degree of the spherical harmonics, and the steps after which their bands open."""
+
+    degree: int = 3  # 0 to 4
+    every: int = 1_000  # steps; band l is learned after l times as many
+
+
+@dataclass(frozen=True)
 class Recipe:
-    """Composed of objects that can each be replaced. Hashable: it is static under `jit`."""
+    """All settings of a training run. Hashable: it is static under `jit`.
+
+    Each part can be replaced by any object with the methods that `splatax.training.protocols` lists.
+    """
 
     steps: int = 30_000
-    initialization: FromPoints | InFrusta = FromPoints()
-    loss: Photometric = Photometric()
-    prior: Prior = Indifferent()
-    learning_rates: LearningRates = LearningRates()
-    noise: Noise = Still()
+    initialization: Initialization = FromPoints()
+    loss: Loss = Photometric()
+    prior: Prior = NoPrior()
+    optimizer: Optimizer = Optimizer()
     density: DensityStrategy = Classic()
-    appearance: Appearance = Neutral()
-    refinement: Refinement = Given()  # of the training cameras
-    resolution: Resolution = Resolution()
-    sh_degree: int = 3  # 0 to 4
-    sh_every: int = 1_000  # steps after which the next band of spherical harmonics is free
+    appearance: Appearance = NoAppearance()
+    camera_refinement: CameraRefinement = FixedCameras()
+    resolution: ResolutionSchedule = Resolution()
+    sh: ShSchedule = ShSchedule()
     background: Background = Solid()
     low_pass: LowPass = Dilation()
     backend: str | Kernels = "auto"
@@ -42,14 +61,17 @@ class Recipe:
 
 
 def classic(steps: int = 30_000, max_gaussians: int = 5_000_000) -> Recipe:
-    """Kerbl et al. 2023. Density control ends halfway, at 15,000 of 30,000 steps."""
+    """Returns the recipe of Kerbl et al. 2023.
+
+    Density control ends halfway through the run, or after 15,000 steps if that is earlier.
+    """
     return Recipe(steps=steps, density=Classic(until=min(15_000, steps // 2), max_gaussians=max_gaussians))
 
 
 def absgrad(steps: int = 30_000, max_gaussians: int = 5_000_000) -> Recipe:
-    """Ye et al. 2024 (AbsGS): as `classic`, but pixels that pull in opposite directions add up.
+    """Returns the recipe of Ye et al. 2024 (AbsGS), with the threshold that gsplat recommends for it.
 
-    With the threshold that gsplat recommends for it.
+    It differs from `classic` in that it adds up absolute values of the gradients of pixels.
     """
     until = min(15_000, steps // 2)
     density = Classic(until=until, pull_threshold=8e-4, absolute=True, max_gaussians=max_gaussians)
@@ -57,33 +79,38 @@ def absgrad(steps: int = 30_000, max_gaussians: int = 5_000_000) -> Recipe:
 
 
 def mcmc(steps: int = 30_000, max_gaussians: int = 1_000_000) -> Recipe:
-    """Kheradmand et al. 2024. Growth ends at five sixths, at 25,000 of 30,000 steps."""
-    return Recipe(
-        steps=steps,
-        initialization=FromPoints(opacity=0.5, scale=0.1),
-        prior=Sparsity(),
-        noise=Langevin(),
-        density=Mcmc(until=min(25_000, steps * 5 // 6), max_gaussians=max_gaussians),
-    )
+    """Returns the recipe of Kheradmand et al. 2024.
 
-
-GROWING = 3  # a run of `default` has all its Gaussians after one of so many parts
-COARSE = 2  # and sees photos of half size for one of so many
-GROWN = 0.85  # share of a run after which no Gaussian is moved to another place, and all settle
-
-
-def default(steps: int = 30_000, max_gaussians: int = 1_000_000) -> Recipe:
-    """The best known for a given number of steps: all settings follow from it.
-
-    It grows early, to a number that is given, and learns faster than the authors do, the more so
-    the fewer steps there are to get anywhere.
+    Growth ends at five sixths of the run, or after 25,000 steps if that is earlier.
     """
     return Recipe(
         steps=steps,
         initialization=FromPoints(opacity=0.5, scale=0.1),
         prior=Sparsity(),
-        learning_rates=replace(rates_for(steps), settled=0.05, settling_from=GROWN),
-        noise=Langevin(1.25e5),  # of the raised rate: at 2,000 steps, three times the noise of the authors
+        optimizer=Optimizer(noise=Langevin()),
+        density=Mcmc(until=min(25_000, steps * 5 // 6), max_gaussians=max_gaussians),
+    )
+
+
+GROWING = 3  # `default` grows for the first 1 / GROWING of a run
+COARSE = 2  # and sees photos of half size for the first 1 / COARSE
+GROWN = 0.85  # fraction of a run after which relocation ends and the learning rates fall
+
+
+def default(steps: int = 30_000, max_gaussians: int = 1_000_000) -> Recipe:
+    """Returns the recipe with the best known results for a given number of steps.
+
+    It differs from `mcmc` in that it grows early, to exactly `max_gaussians`, and in that its learning
+    rates are higher the fewer steps there are.
+    """
+    return Recipe(
+        steps=steps,
+        initialization=FromPoints(opacity=0.5, scale=0.1),
+        prior=Sparsity(),
+        optimizer=Optimizer(
+            rates=replace(rates_for(steps), settled=0.05, settling_from=GROWN),
+            noise=Langevin(1.25e5),  # times the raised rate: at 2,000 steps, three times the authors' noise
+        ),
         density=Mcmc(
             every=min(max(steps // 40, 10), 100),
             start=steps // 20,
@@ -92,16 +119,17 @@ def default(steps: int = 30_000, max_gaussians: int = 1_000_000) -> Recipe:
             max_gaussians=max_gaussians,
         ),
         resolution=Resolution(((steps // COARSE, 2),), smallest=100),
-        sh_every=max(steps // 20, 1),
+        sh=ShSchedule(every=max(steps // 20, 1)),
         background=Random(),
     )
 
 
 def rates_for(steps: int) -> LearningRates:
-    """Learning rates that suit a short run: the authors', raised by up to 12 times at 2,000 steps.
+    """Returns learning rates for a run of this length: the authors', raised if it is short.
 
-    How much they are raised falls with the square root of the number of steps, down to the authors'
-    own rates, which are for 30,000. Runs of less than 500 steps learn as those of 500.
+    At 2,000 steps, the rate of the means is 12 times that of the authors. The factor falls with the square
+    root of the number of steps, down to the authors' rates, which are for 30,000 steps. Runs of fewer
+    than 500 steps get the rates of 500.
     """
     authors, haste = LearningRates(), math.sqrt(2_000 / max(steps, 500))
 
@@ -124,18 +152,41 @@ MOST = 1_000_000
 
 
 def room_for(dataset: Dataset) -> int:
-    """How many Gaussians a capture has detail for, at most a million.
+    """Returns the number of Gaussians that a capture has detail for, at most a million.
 
-    What one photo shows takes one for some pixels of it. More photos show more, but in large part the
-    same again: detail is taken to grow with the square root of their number.
+    One photo has detail for one Gaussian per 8 pixels. More photos show more, but in large part the
+    same again: detail is assumed to grow with the square root of their number.
     """
     pixels = sum(view.camera.width * view.camera.height for view in dataset.train)
     return min(round(pixels / math.sqrt(len(dataset.train)) / PIXELS_PER_GAUSSIAN), MOST)
 
 
-RECIPES: dict[str, Callable[..., Recipe]] = {
-    "classic": classic,
-    "absgrad": absgrad,
-    "mcmc": mcmc,
-    "default": default,
+@dataclass(frozen=True)
+class Preset:
+    """A recipe for any number of steps, with the defaults that go with it.
+
+    Attributes:
+        build: returns the recipe, from `steps` and `max_gaussians`.
+        max_gaussians: returns the default for `max_gaussians` on a capture.
+        random_start: initialization for captures without points.
+        plannable: whether `splatax.budget` can choose the steps for a given time: its model of the time
+            that a run takes is for this recipe.
+    """
+
+    build: Callable[..., Recipe]
+    max_gaussians: Callable[[Dataset], int] = room_for
+    random_start: InFrusta = InFrusta()
+    plannable: bool = False
+
+
+def authors_limit(dataset: Dataset) -> int:
+    """Returns 5,000,000 for every capture: `classic` and `absgrad` rarely grow to it."""
+    return Classic.max_gaussians
+
+
+PRESETS = {
+    "classic": Preset(classic, authors_limit),
+    "absgrad": Preset(absgrad, authors_limit),
+    "mcmc": Preset(mcmc, random_start=InFrusta(opacity=0.5, scale=0.1)),
+    "default": Preset(default, random_start=InFrusta(opacity=0.5, scale=0.1), plannable=True),
 }

@@ -1,6 +1,7 @@
-"""Smaller photos at first: what is coarse is learnt from fewer pixels, in less time.
+"""The resolution schedule: training starts with smaller photos, whose steps take less time.
 
-Pixels of a divided photo are means of the full ones, so a camera of that size sees the same.
+Pixels of a downscaled photo are means over blocks of the full photo, so a camera of that size sees the
+same scene.
 """
 
 from dataclasses import dataclass
@@ -12,18 +13,21 @@ from splatax.resampling import ALL, resize, resize_mask
 
 @dataclass(frozen=True)
 class Resolution:
-    """By what photos are divided in each part of a run.
+    """The factor by which photos are downscaled in each stage of a run.
 
     Attributes:
-        stages: (last step, divisor), in order; after the last of them photos are as they are.
-        smallest: pixels of the shorter side that photos are not made smaller than; they keep their size.
+        stages: (last step, divisor) pairs, in order; after the last stage photos have full size.
+        smallest: pixels; photos whose shorter side would become smaller keep their full size.
     """
 
     stages: tuple[tuple[int, int], ...] = ()
     smallest: int = 1
 
     def divisor(self, step: int, size: tuple[int, int]) -> int:
-        """For a photo of a size in a step, from 1."""
+        """Returns the factor by which photos of this size are downscaled at this step, counted from 1.
+
+        1 is full size.
+        """
         divisor = next((divisor for last, divisor in self.stages if step <= last), 1)
         return divisor if min(size) // divisor >= self.smallest else 1
 
@@ -31,7 +35,10 @@ class Resolution:
 def divided(
     camera: Camera, photo: Pixels, mask: Mask | None, divisor: int
 ) -> tuple[Camera, Pixels, Mask | None]:
-    """A view with so many times fewer pixels a side. What a mask leaves out counts for no new pixel."""
+    """Returns a view whose width and height are divided by `divisor`.
+
+    A pixel of the smaller mask counts only if all pixels that it covers do.
+    """
     if divisor == 1:
         return camera, photo, mask
     size = camera.width // divisor, camera.height // divisor

@@ -1,4 +1,4 @@
-"""One training step: render a view, compare, and move the Gaussians. The lines that matter."""
+"""One training step: renders a view, compares it with its photo, and moves the Gaussians."""
 
 from dataclasses import dataclass, replace
 from functools import partial
@@ -21,26 +21,26 @@ from splatax.training.recipes import Recipe
 
 
 class Faults(NamedTuple):
-    """Numbers of what went wrong and was mended."""
+    """Counts of what was not finite during a run."""
 
-    steps: Int[Array, ""]  # whose loss was not finite: they have changed nothing
-    gaussians: Int[Array, ""]  # that were not finite: they were removed
+    steps: Int[Array, ""]  # steps whose loss was not finite: they changed nothing
+    gaussians: Int[Array, ""]  # Gaussians that were not finite: they were removed
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class TrainState:
-    """The whole run at one moment.
+    """The complete state of a run between two steps.
 
     Attributes:
-        step: how many steps have been made.
-        total: how many the run shall have; schedules go by the share that is done.
-        gaussians: the scene, the living first, then empty slots.
-        opt_state: Adam's.
+        step: number of steps made.
+        total: number of steps of the whole run; schedules depend on step / total.
+        gaussians: the scene: the living Gaussians first, then empty slots.
+        opt_state: of the optimizer of the Gaussians.
         density_state: of the density strategy.
-        appearance: what is learned of the photos' colours.
-        cameras: what is learned of the photos' cameras.
-        key: what all randomness of the run comes from.
+        appearance: of the appearance model.
+        cameras: of the camera refinement.
+        key: root of the random keys of all steps.
         extent: of the scene, world units.
         faults: what was not finite until now.
     """
@@ -58,12 +58,14 @@ class TrainState:
 
 
 def train_step(state: TrainState, batch: Batch, recipe: Recipe) -> tuple[TrainState, Float[Array, ""]]:
-    """Makes one step on one view; returns the new state and the loss. The old state is used up.
+    """Makes one step on one view, and returns the new state and the loss.
 
-    The backend named by the recipe must be resolved already.
+    The old state is donated: it cannot be used afterwards. The backend named by the recipe must be
+    resolved already.
     """
-    # Numbers that differ from run to run are inputs of the program, so that it is compiled once for all.
-    return _train_step(state, batch, recipe.learning_rates, recipe.sh_every, recipe)
+    # Numbers that depend on the length of the run are inputs of the program, so that runs of all lengths
+    # share one program in the compilation cache.
+    return _train_step(state, batch, recipe.optimizer.rates, recipe.sh.every, recipe)
 
 
 @partial(jax.jit, static_argnames="recipe", donate_argnames="state")
@@ -73,22 +75,24 @@ def _train_step(
     background_key, noise_key = jax.random.split(jax.random.fold_in(state.key, state.step))
     loss, splats, d = compare(state, batch, recipe, recipe.background.sample(background_key))
 
-    # Of a bad step, the gradients count as zero and nothing moves. To choose between the old and the new
-    # scene as a whole would take a copy of all moments.
+    # A step whose loss is not finite has zero gradients and zero learning rates, so nothing moves. Selecting
+    # between the old and the new state instead would take a copy of all moments.
     good = jnp.isfinite(loss)
     gradients = jax.tree.map(lambda leaf: jnp.where(good, leaf, 0), d.gaussians)
     gradients = optimizer.without_locked_bands(gradients, state.step, sh_every)
     progress = state.step / state.total
     rates = learning_rates.at(progress, state.extent, gradients.sh.shape[1])
     rates = jax.tree.map(lambda leaf: jnp.where(good, leaf, 0), rates)
-    gaussians, opt_state = optimizer.update(state.gaussians, gradients, state.opt_state, rates)
+    gaussians, opt_state = optimizer.update(
+        state.gaussians, gradients, state.opt_state, rates, recipe.optimizer.rule
+    )
     gaussians = lax.optimization_barrier(gaussians)
-    gaussians = recipe.noise(gaussians, rates.means[0, 0], state.extent, noise_key)
+    gaussians = recipe.optimizer.noise(gaussians, rates.means[0, 0], state.extent, noise_key)
     total = state.total.astype(jnp.float32)
     learned = (
         recipe.density.observe(state.density_state, splats, d.splats),
-        recipe.appearance.update(state.appearance, batch.source, d.look, progress),
-        recipe.refinement.update(state.cameras, batch.source, d.pose, progress, total),
+        recipe.appearance.update(state.appearance, batch.source, d.appearance, progress, total),
+        recipe.camera_refinement.update(state.cameras, batch.source, d.camera, progress, total),
     )
     known = state.density_state, state.appearance, state.cameras
     density_state, appearance, cameras = jax.tree.map(partial(jnp.where, good), learned, known)
@@ -105,44 +109,44 @@ def _train_step(
 
 
 class Gradients(NamedTuple):
-    """Of the loss of a view."""
+    """Gradients of one view's loss."""
 
     gaussians: Gaussians
     splats: Splats
-    look: Any  # what is known of the photo's colours
-    pose: Any  # and of its camera
+    appearance: Any  # with respect to the photo's appearance parameters
+    camera: Any  # with respect to the photo's camera parameters
 
 
 def compare(
     state: TrainState, batch: Batch, recipe: Recipe, background: Float[Array, "3"]
 ) -> tuple[Float[Array, ""], Splats, Gradients]:
-    """The loss of a view, the splats in it, and all gradients."""
+    """Returns the loss of a view, its splats, and the gradients of the loss."""
     photo = photo_over(batch.photo, background)
     kernels = backends.resolve(recipe.backend)
 
-    def image_loss(splats, look):
+    def image_loss(splats, appearance):
         sums, alpha = composite(splats, splats.colors, backend=kernels)
-        image = over(recipe.appearance(look, sums, alpha), alpha, background)
+        image = over(recipe.appearance(appearance, sums, alpha), alpha, background)
         return recipe.loss(image, photo, batch.mask, kernels.photometric)
 
-    # Of pixels of the whole photo, so that a smaller one teaches a scene that is sharp on the whole one.
+    # The filter keeps its size in pixels of the full photo, so that smaller photos do not blur the scene.
     low_pass = replace(recipe.low_pass, variance=recipe.low_pass.variance / batch.divisor**2)
 
-    def project_view(gaussians, pose):
-        camera = recipe.refinement(pose, batch.camera, state.extent)
+    def project_view(gaussians, correction):
+        camera = recipe.camera_refinement(correction, batch.camera, state.extent)
         splats = project(gaussians, camera, low_pass=low_pass, backend=kernels)
         return recipe.density.watch(splats), recipe.prior(gaussians, state.extent)
 
-    look = recipe.appearance.of(state.appearance, batch.source)
-    pose = recipe.refinement.of(state.cameras, batch.source)
-    (splats, prior), pull_back = jax.vjp(project_view, state.gaussians, pose)
-    loss, (d_splats, d_look) = jax.value_and_grad(image_loss, argnums=(0, 1))(splats, look)
-    d_gaussians, d_pose = pull_back((d_splats, jnp.ones_like(prior)))
-    return loss, splats, Gradients(d_gaussians, d_splats, d_look, d_pose)
+    appearance = recipe.appearance.for_photo(state.appearance, batch.source)
+    correction = recipe.camera_refinement.for_photo(state.cameras, batch.source)
+    (splats, prior), pull_back = jax.vjp(project_view, state.gaussians, correction)
+    loss, (d_splats, d_appearance) = jax.value_and_grad(image_loss, argnums=(0, 1))(splats, appearance)
+    d_gaussians, d_camera = pull_back((d_splats, jnp.ones_like(prior)))
+    return loss, splats, Gradients(d_gaussians, d_splats, d_appearance, d_camera)
 
 
 def photo_over(photo: UInt8[Array, "h w c"], background: Float[Array, "3"]) -> Float[Array, "h w 3"]:
-    """A photo as numbers in [0, 1]; one with alpha, over the background."""
+    """Returns a photo as values in [0, 1]; one with alpha is composited over the background."""
     pixels = photo.astype(jnp.float32) / 255
     if pixels.shape[2] == 3:
         return pixels

@@ -1,20 +1,9 @@
-"""Density control: when and how the number of Gaussians changes."""
+"""Density control: the strategies that add, move and remove Gaussians during training."""
 
 from splatax.training.density.classic import Classic
-from splatax.training.density.fixed import Fixed
 from splatax.training.density.mcmc import ByFactor, ByStep, Mcmc
-from splatax.training.density.protocol import DensityStrategy, Lineage, Refinement
+from splatax.training.density.none import NoDensityControl
 
-STRATEGIES = {"classic": Classic, "fixed": Fixed, "mcmc": Mcmc}
+STRATEGIES = {"classic": Classic, "none": NoDensityControl, "mcmc": Mcmc}
 
-__all__ = [
-    "STRATEGIES",
-    "ByFactor",
-    "ByStep",
-    "Classic",
-    "DensityStrategy",
-    "Fixed",
-    "Lineage",
-    "Mcmc",
-    "Refinement",
-]
+__all__ = ["STRATEGIES", "ByFactor", "ByStep", "Classic", "Mcmc", "NoDensityControl"]

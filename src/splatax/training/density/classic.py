@@ -1,8 +1,9 @@
-"""Clone small, split large, prune faint and oversized, reset opacity (Kerbl et al. 2023, Sec. 5.2).
+"""Adaptive density control: clone, split, prune, and reset opacities (Kerbl et al. 2023, Sec. 5.2).
 
-A Gaussian whose mean the loss keeps pulling at on the image stands where detail is missing: there
-is too little of it (clone) or too much of one (split). Where pixels pull in opposite directions, the
-sum of their gradients hides it; the sum of absolute values does not (AbsGS, Ye et al. 2024).
+A large gradient of the loss with respect to the 2D mean of a Gaussian marks missing detail. A small
+Gaussian covers too little there and is cloned; a large one covers too much and is split. Gradients of
+single pixels that point in opposite directions cancel out in the sum, but not in the sum of their absolute
+values (AbsGS, Ye et al. 2024).
 """
 
 import math
@@ -19,43 +20,46 @@ from splatax.gaussians import Gaussians
 from splatax.math import ellipsoids
 from splatax.splats import Splats
 from splatax.training.capacity import bucket_for, with_empty_slots
-from splatax.training.density.protocol import Lineage, Refinement
+from splatax.training.protocols import DensityUpdate, Lineage
 
 
 class Observed(NamedTuple):
-    """Sums over the views since the last refinement."""
+    """Statistics of each Gaussian over the views since the last refinement."""
 
-    pull: Float[Array, " n"]  # lengths of dL/d means2d, with the image running from -1 to 1
-    views: Float[Array, " n"]  # in which it was visible
-    screen: Float[Array, " n"]  # largest extent seen, as a share of the image's longer side
+    pull: Float[Array, " n"]  # sum of |dL/d means2d|, with the image running from -1 to 1
+    views: Float[Array, " n"]  # number of views in which it was visible
+    screen: Float[Array, " n"]  # largest extent seen, as a fraction of the image's longer side
 
 
 @dataclass(frozen=True)
 class Classic:
-    """The authors' adaptive density control, with their settings."""
+    """Clones, splits and prunes Gaussians and resets opacities, with the authors' settings."""
 
     every: int = 100  # steps between refinements
-    start: int = 500  # step before which there is none
-    until: int = 15_000  # step from which on there is none
+    start: int = 500  # no densification up to this step
+    until: int = 15_000  # no refinement from this step on
     pull_threshold: float = 2e-4  # mean over views of |dL/d means2d|, image from -1 to 1
-    absolute: bool = False  # whether dL/d means2d is summed over pixels by absolute values, per axis
-    dense_size: float = 0.01  # of the scene's extent: larger is split, smaller cloned
-    shrink: float = 1.6  # factor by which the children of a split are smaller
-    min_opacity: float = 0.005  # fainter is pruned
-    max_world_size: float = 0.1  # of the scene's extent; larger is pruned after the first reset
-    max_screen_size: float = 0.15  # of the image's longer side; as above, up to `screen_until`
+    absolute: bool = False  # whether |dL/dx| and |dL/dy| are summed over pixels (AbsGS)
+    dense_size: float = 0.01  # fraction of the scene's extent: larger ones are split, smaller cloned
+    shrink: float = 1.6  # factor by which the scales of a split Gaussian are divided
+    min_opacity: float = 0.005  # fainter Gaussians are pruned
+    max_world_size: float = 0.1  # fraction of the scene's extent: larger ones are pruned after a reset
+    max_screen_size: float = 0.15  # fraction of the image's longer side; as above, up to `screen_until`
     screen_until: int = 4_000  # step (splatfacto's values: the authors' own test never fires)
     reset_every: int = 3_000  # steps between opacity resets
     reset_opacity: float = 0.01  # highest opacity after a reset
-    max_gaussians: int = 5_000_000  # growth stops here; the most pulled at come first
+    max_gaussians: int = 5_000_000  # growth stops here; the largest gradients are densified first
 
     def init(self, capacity: int) -> Observed:
+        """Returns statistics of no view."""
         return Observed(*(jnp.zeros(capacity) for _ in Observed._fields))
 
     def watch(self, splats: Splats) -> Splats:
+        """Adds `pull` to the splats if gradients are summed by absolute values."""
         return replace(splats, pull=jnp.zeros_like(splats.means2d)) if self.absolute else splats
 
     def observe(self, state: Observed, splats: Splats, d_splats: Splats) -> Observed:
+        """Adds one view to the statistics."""
         visible = jnp.any(splats.extents > 0, axis=1)
         half = jnp.array([splats.width / 2, splats.height / 2], splats.means2d.dtype)
         gradient = d_splats.means2d if d_splats.pull is None else d_splats.pull
@@ -68,11 +72,13 @@ class Classic:
         )
 
     def due(self, step: int) -> bool:
+        """Returns whether the scene is densified or its opacities are reset after this many steps."""
         return step < self.until and (self._densifies(step) or self._resets(step))
 
     def refine(
         self, state: Observed, gaussians: Gaussians, count: int, step: int, extent: float, key: PRNGKeyArray
-    ) -> Refinement:
+    ) -> DensityUpdate:
+        """Densifies, prunes and resets opacities as due; see `DensityStrategy.refine`."""
         lineage, state_rows = Lineage(jnp.arange(len(gaussians)), jnp.zeros(len(gaussians), bool)), state
         if self._densifies(step):
             parents, children = self._plan(state, gaussians, count, step, extent)
@@ -90,7 +96,7 @@ class Classic:
             highest = math.log(self.reset_opacity / (1 - self.reset_opacity))
             gaussians = replace(gaussians, opacity_logits=jnp.minimum(gaussians.opacity_logits, highest))
             lineage = replace(lineage, restarted=("opacity_logits",))
-        return Refinement(gaussians, count, lineage, state_rows)
+        return DensityUpdate(gaussians, count, lineage, state_rows)
 
     def _densifies(self, step: int) -> bool:
         return step > self.start and step % self.every == 0
@@ -101,7 +107,7 @@ class Classic:
     def _plan(
         self, state: Observed, gaussians: Gaussians, count: int, step: int, extent: float
     ) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
-        """Which row each new Gaussian comes from, and as what: KEPT, CLONE or SPLIT."""
+        """Returns the parent row of each new Gaussian, and its kind: KEPT, CLONE or SPLIT."""
         pull, views, screen = (np.asarray(leaf[:count]) for leaf in state)
         size = np.exp(np.asarray(gaussians.log_scales[:count])).max(axis=1)
         faint = np.asarray(gaussians.opacities[:count]) < self.min_opacity
@@ -124,7 +130,7 @@ class Classic:
         return parents, children
 
     def _most_pulled(self, pull: Float[np.ndarray, " n"], room: int) -> Bool[np.ndarray, " n"]:
-        """Those over the threshold; if they are more than there is room for, the most pulled at."""
+        """Returns which gradients exceed the threshold: the largest, if there is no room for all of them."""
         chosen = pull >= self.pull_threshold
         if chosen.sum() > room:
             strongest = np.argsort(-pull, kind="stable")[: max(room, 0)]
@@ -144,7 +150,7 @@ def _reborn(
     shrink: float,
     key: PRNGKeyArray,
 ) -> Gaussians:
-    """Copies of their parents; those of a split are smaller and drawn from the parent's density."""
+    """Returns copies of the parents; those of a split are smaller, and placed by the parent's density."""
     children = jax.tree.map(lambda leaf: leaf[parents], gaussians)
     factors = jax.vmap(ellipsoids.covariance_factor)(children.quats, children.scales)
     offsets = jnp.einsum("nij,nj->ni", factors, jax.random.normal(key, children.means.shape))

@@ -1,8 +1,8 @@
-"""Move what is dead to where the scene is, and grow to a given number (3DGS-MCMC, Kheradmand et al. 2024).
+"""Relocation of dead Gaussians, and growth to a given number (3DGS-MCMC, Kheradmand et al. 2024).
 
-Gaussians are seen as samples of a distribution. A sample that has faded is moved onto another, and new
-ones are put there too, such that the image stays nearly as it is; the noise of `Langevin` then
-drives them apart.
+The Gaussians are regarded as samples of a distribution. A Gaussian that has faded is moved onto a living
+one, and new Gaussians are placed onto living ones, such that the image hardly changes. The noise of
+`Langevin` then separates them.
 """
 
 import math
@@ -16,65 +16,70 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from splatax.gaussians import Gaussians
 from splatax.splats import Splats
 from splatax.training.capacity import bucket_for, with_empty_slots
-from splatax.training.density.protocol import Lineage, Refinement
+from splatax.training.protocols import DensityUpdate, Lineage
 
-MOST_COPIES = 51  # that a Gaussian is replaced by at once (the authors' limit)
+MAX_COPIES = 51  # by which one Gaussian is replaced in a refinement (the authors' limit)
 
 
 @dataclass(frozen=True)
 class ByFactor:
-    """So many times as many at each refinement (the authors' growth)."""
+    """Multiplies the number of Gaussians by `factor` at each refinement (as the authors do)."""
 
     factor: float = 1.05
 
     def after(self, count: int, step: int, every: int, max_gaussians: int) -> int:
-        """How many there shall be after a refinement."""
+        """Returns the number of Gaussians after a refinement."""
         return min(int(self.factor * count), max_gaussians)
 
 
 @dataclass(frozen=True)
 class ByStep:
-    """By equal factors, so many that the most are reached at a given step."""
+    """Multiplies the number of Gaussians by equal factors, so that it reaches the maximum at step `full`."""
 
-    full: int  # step at which there are as many as there may be
+    full: int  # step at which the maximum is reached
 
     def after(self, count: int, step: int, every: int, max_gaussians: int) -> int:
-        """How many there shall be after a refinement."""
-        refinements = max((self.full - step) // every, 0) + 1  # to come, this one among them
+        """Returns the number of Gaussians after a refinement."""
+        refinements = max((self.full - step) // every, 0) + 1  # left, including this one
         return round(count * (max_gaussians / count) ** (1 / refinements))
 
 
 @dataclass(frozen=True)
 class Mcmc:
-    """Relocation and growth, with the authors' settings."""
+    """Relocates dead Gaussians and grows the scene, with the authors' settings."""
 
     every: int = 100  # steps between refinements
-    start: int = 500  # step up to which there is none
-    until: int = 25_000  # step from which on there is none
+    start: int = 500  # no refinement up to this step
+    until: int = 25_000  # no refinement from this step on
     growth: ByFactor | ByStep = ByFactor()
-    min_opacity: float = 0.005  # not above it: dead, and moved onto a living one
+    min_opacity: float = 0.005  # Gaussians of at most this opacity are dead, and relocated
     max_gaussians: int = 1_000_000
 
     def init(self, capacity: int) -> tuple[()]:
+        """Returns an empty state: relocation depends on opacities alone."""
         return ()
 
     def watch(self, splats: Splats) -> Splats:
+        """Returns the splats unchanged."""
         return splats
 
     def observe(self, state: tuple[()], splats: Splats, d_splats: Splats) -> tuple[()]:
+        """Returns the state unchanged."""
         return state
 
     def due(self, step: int) -> bool:
+        """Returns whether the scene is refined after this many steps."""
         return self.start < step < self.until and step % self.every == 0
 
     def refine(
         self, state: tuple[()], gaussians: Gaussians, count: int, step: int, extent: float, key: PRNGKeyArray
-    ) -> Refinement:
+    ) -> DensityUpdate:
+        """Relocates the dead Gaussians and adds new ones; see `DensityStrategy.refine`."""
         opacities = np.asarray(gaussians.opacities, np.float64)[:count]
         dead = opacities <= self.min_opacity
-        if dead.all():  # nothing to move onto
+        if dead.all():  # there is no Gaussian to move them onto
             rows = len(gaussians)
-            return Refinement(gaussians, count, Lineage(jnp.arange(rows), jnp.zeros(rows, bool)), state)
+            return DensityUpdate(gaussians, count, Lineage(jnp.arange(rows), jnp.zeros(rows, bool)), state)
         grown = max(self.growth.after(count, step, self.every, self.max_gaussians), count)
         seekers = np.concatenate([np.flatnonzero(dead), np.arange(count, grown)])
         sources = in_proportion(np.where(dead, 0, opacities), len(seekers), key)
@@ -82,12 +87,12 @@ class Mcmc:
         parent = np.arange(bucket_for(grown, len(gaussians), self.max_gaussians))
         parent[seekers] = sources
         parent[grown:] = 0
-        shares = np.minimum(1 + np.bincount(sources, minlength=count), MOST_COPIES)
-        opacity, factor = shared(opacities, shares)
+        copies = np.minimum(1 + np.bincount(sources, minlength=count), MAX_COPIES)
+        opacity, factor = relocated(opacities, copies)
         opacity = np.clip(opacity, self.min_opacity, 1 - np.finfo(np.float32).eps)
-        newborn = (shares > 1)[parent]  # sources among them
+        newborn = (copies > 1)[parent]  # sources among them
         newborn[grown:] = True
-        return Refinement(
+        return DensityUpdate(
             _moved(
                 gaussians,
                 jnp.asarray(parent),
@@ -103,9 +108,10 @@ class Mcmc:
 
 
 def in_proportion(weights: Float[np.ndarray, " n"], draws: int, key: PRNGKeyArray) -> Int[np.ndarray, " m"]:
-    """Indices drawn with replacement, each as often as its share of the weights, by expectation.
+    """Draws indices with replacement, with probabilities proportional to the weights.
 
-    One draw from each of `draws` equal parts of the cumulated weights: less clumped than independent ones.
+    Draws are stratified: one from each of `draws` equal intervals of the cumulated weights. They clump less
+    than independent draws.
     """
     ends = np.cumsum(weights)
     offsets = np.random.default_rng(np.asarray(jax.random.key_data(key))).random(draws)
@@ -113,31 +119,35 @@ def in_proportion(weights: Float[np.ndarray, " n"], draws: int, key: PRNGKeyArra
     return np.minimum(index, np.flatnonzero(weights)[-1])
 
 
-def shared(
-    opacities: Float[np.ndarray, " n"], shares: Int[np.ndarray, " n"]
+def relocated(
+    opacities: Float[np.ndarray, " n"], copies: Int[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Opacity, and factor of the scales, of N Gaussians that look as one did (Kheradmand et al. 2024, Eq. 9).
+    """Returns opacities and scale factors of N copies that replace one Gaussian.
 
-    Drawn over each other, N of opacity o' = 1 - (1 - o)^(1/N) cover as much in the centre, and in
-    total if the scales are multiplied by
+    Drawn over each other, N copies of opacity o' = 1 - (1 - o)^(1/N) have the same coverage in the centre as
+    the original, and the same total coverage if their scales are multiplied by (Kheradmand et al. 2024,
+    Eq. 9)
 
         o / sum_i sum_k C(i-1, k) (-1)^k o'^(k+1) / sqrt(k+1),   k < i <= N,
       = o / sum_j C(N, j) (-1)^(j-1) o'^j / sqrt(j),             1 <= j <= N.
 
     Args:
         opacities: o.
-        shares: N, at most `MOST_COPIES`.
+        copies: N, at most `MAX_COPIES`.
+
+    Returns:
+        o' and the factors.
     """
-    part = 1 - (1 - opacities) ** (1 / shares)
+    part = 1 - (1 - opacities) ** (1 / copies)
     total = np.zeros_like(opacities)
-    for j in range(1, int(shares.max(initial=1)) + 1):
-        choose = _BINOMIALS[shares, j]
+    for j in range(1, int(copies.max(initial=1)) + 1):
+        choose = _BINOMIALS[copies, j]
         total += choose * (-1) ** (j - 1) * part**j / math.sqrt(j)
-    return part, np.where(shares > 1, opacities / np.where(shares > 1, total, 1), 1)
+    return part, np.where(copies > 1, opacities / np.where(copies > 1, total, 1), 1)
 
 
 _BINOMIALS = np.array(
-    [[float(math.comb(n, j)) for j in range(MOST_COPIES + 1)] for n in range(MOST_COPIES + 1)]
+    [[float(math.comb(n, j)) for j in range(MAX_COPIES + 1)] for n in range(MAX_COPIES + 1)]
 )
 
 
@@ -150,7 +160,7 @@ def _moved(
     log_factors: Float[Array, " m"],
     count: Int[Array, ""],
 ) -> Gaussians:
-    """Copies of their parents, with new opacities and scales where those were shared."""
+    """Returns copies of the parents, with new opacities and scales where a parent has several copies."""
     moved = jax.tree.map(lambda leaf: leaf[parent], gaussians)
     moved = replace(
         moved,

@@ -1,4 +1,4 @@
-"""The photos of a run, decoded once and kept 8-bit while there is room, else read again when wanted."""
+"""A cache of decoded photos: it keeps as many as fit in a given memory and decodes the others again."""
 
 from collections.abc import Sequence
 
@@ -10,20 +10,22 @@ from splatax.training.resolution import divided
 Frame = tuple[Camera, Pixels, Mask | None]
 
 
-class Album:
-    """Frames by the index of their view and the divisor of their size.
+class PhotoCache:
+    """Decoded photos and masks, by the index of their view.
 
-    In random orders all photos are as likely to come next, so those that were kept first stay: to put
-    others in their place would only have these read again.
+    Photos are requested in random order, so each is equally likely to be next. The cache therefore never
+    replaces a photo that it keeps: the replaced one would only have to be decoded again.
     """
 
     def __init__(self, views: Sequence[View], room: int | float):
-        """With room for so many bytes; infinite for all."""
+        """Creates an empty cache for so many bytes; `math.inf` keeps all photos."""
         self._views, self._left = views, room
         self._kept: dict[int, tuple[int, Frame]] = {}
 
     def frame(self, index: int, divisor: int) -> Frame:
-        """A view, with so many times fewer pixels a side. With another divisor it is kept no longer.
+        """Returns a view whose width and height are divided by `divisor`.
+
+        A photo that is kept at another size is dropped, which frees its memory.
 
         Raises:
             DatasetError: if the photo or its mask is not of the camera's size.
@@ -43,12 +45,12 @@ class Album:
 
 
 def size_of(frame: Frame) -> int:
-    """Bytes of a photo and its mask."""
+    """Returns the bytes of a photo and its mask."""
     return sum(array.nbytes for array in frame[1:] if array is not None)
 
 
 def checked(view: View) -> Pixels:
-    """The view's photo.
+    """Returns the photo of a view.
 
     Raises:
         DatasetError: if it is not of the camera's size.

@@ -12,12 +12,12 @@ from numpy.testing import assert_allclose
 import splatax as sx
 from scenes import random_gaussians
 from splatax.math import rigid
-from splatax.training.density import Fixed
+from splatax.training.camera_refinement import Poses, PosesAndFocal, rate_for, refined
+from splatax.training.density import NoDensityControl
 from splatax.training.feed import batches, sources
 from splatax.training.loop import first_state, optimize
-from splatax.training.optimizer import LearningRates
-from splatax.training.recipes import default
-from splatax.training.refinement import Poses, PosesAndFocal, rate_for, refined
+from splatax.training.optimizer import LearningRates, Optimizer
+from splatax.training.recipes import ShSchedule, default
 from splatax.training.step import train_step
 from training.test_training import RECIPE, capture
 
@@ -53,17 +53,24 @@ def learn(views, recipe, truth):
     state = first_state(copy, recipe, 1.0, len(views))
     for _, batch in zip(range(recipe.steps), batches(views, 0), strict=False):
         state, _ = train_step(state, batch, recipe)
-    return state, refined(recipe.refinement, state.cameras, views, state.extent)
+    return state, refined(recipe.camera_refinement, state.cameras, views, state.extent)
 
 
 TRUTH = random_gaussians(n=80, degree=0, spread=0.8, scale=(0.05, 0.25))  # of `capture`
-KNOWN = replace(RECIPE, steps=200, density=Fixed(), learning_rates=STILL, sh_degree=0, backend="xla")
+KNOWN = replace(
+    RECIPE,
+    steps=200,
+    density=NoDensityControl(),
+    optimizer=Optimizer(rates=STILL),
+    sh=ShSchedule(0),
+    backend="xla",
+)
 
 
 def test_turned_cameras_come_back():
     views = capture().train
     wrong = perturbed(views, 1 / 45)  # a pixel
-    state, found = learn(wrong, replace(KNOWN, refinement=Poses(reach=0.1)), TRUTH)
+    state, found = learn(wrong, replace(KNOWN, camera_refinement=Poses(reach=0.1)), TRUTH)
     assert angles(wrong, views).mean() > 0.02
     assert angles(found, views).mean() < 0.2 * angles(wrong, views).mean()
     assert_allclose(jnp.mean(state.cameras.values, axis=0), 0, atol=1e-6)
@@ -74,7 +81,7 @@ def test_a_wrong_focal_length_comes_back():
     wrong = tuple(
         replace(v, camera=replace(v.camera, fx=v.camera.fx * 1.03, fy=v.camera.fy * 1.03)) for v in views
     )
-    recipe = replace(KNOWN, refinement=PosesAndFocal(Poses(reach=1e-6), reach=0.1))
+    recipe = replace(KNOWN, camera_refinement=PosesAndFocal(Poses(reach=1e-6), reach=0.1))
     _, found = learn(wrong, recipe, TRUTH)
     ratios = [float(a.camera.fx / b.camera.fx) for a, b in zip(found, views, strict=True)]
     assert_allclose(ratios, ratios[0], rtol=1e-6)  # one lens
@@ -101,7 +108,7 @@ def test_given_cameras_stay():
         pass
     state = progress.state.train
     assert jax.tree.leaves((state.cameras, state.appearance)) == []
-    found = refined(RECIPE.refinement, state.cameras, dataset.train, state.extent)
+    found = refined(RECIPE.camera_refinement, state.cameras, dataset.train, state.extent)
     assert [view.camera for view in found] == [view.camera for view in dataset.train]
 
 
@@ -119,11 +126,11 @@ def test_refinement_recovers_what_cameras_wrong_by_a_pixel_cost(data):
             pass
         state = progress.state.train
         psnr = sx.evaluate(progress.gaussians, dataset.test).psnr
-        return psnr, refined(recipe.refinement, state.cameras, dataset.train, state.extent)
+        return psnr, refined(recipe.camera_refinement, state.cameras, dataset.train, state.extent)
 
     right, _ = run(dataset, recipe)
     lost, _ = run(wrong, recipe)
-    regained, found = run(wrong, replace(recipe, refinement=Poses()))
+    regained, found = run(wrong, replace(recipe, camera_refinement=Poses()))
     before, after = (1e3 * angles(views, dataset.train).mean() for views in (wrong.train, found))
     print(f"PSNR {right:.2f}, {lost:.2f}, {regained:.2f} dB; angles {before:.2f}, {after:.2f} mrad")
     assert right - lost > 1

@@ -1,4 +1,4 @@
-"""No density control: the Gaussians of the start stay."""
+"""No density control: the Gaussians of the initialization stay."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -7,26 +7,31 @@ from jaxtyping import PRNGKeyArray
 
 from splatax.gaussians import Gaussians
 from splatax.splats import Splats
-from splatax.training.density.protocol import Refinement
+from splatax.training.protocols import DensityUpdate
 
 
 @dataclass(frozen=True)
-class Fixed:
-    """Leaves the number of Gaussians as it is."""
+class NoDensityControl:
+    """Never adds, moves or removes a Gaussian."""
 
     def init(self, capacity: int) -> tuple[()]:
+        """Returns an empty state."""
         return ()
 
     def watch(self, splats: Splats) -> Splats:
+        """Returns the splats unchanged."""
         return splats
 
     def observe(self, state: Any, splats: Splats, d_splats: Splats) -> Any:
+        """Returns the state unchanged."""
         return state
 
     def due(self, step: int) -> bool:
+        """Returns False."""
         return False
 
     def refine(
         self, state: Any, gaussians: Gaussians, count: int, step: int, extent: float, key: PRNGKeyArray
-    ) -> Refinement:
+    ) -> DensityUpdate:
+        """Fails: it is never due."""
         raise AssertionError("never due")

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from splatax.errors import DatasetError
-from splatax.training.album import Album
 from splatax.training.feed import batches
+from splatax.training.photo_cache import PhotoCache
 from splatax.training.resolution import Resolution
 from training.test_training import SIZE, capture
 
@@ -34,20 +34,20 @@ def counted(views):
 @pytest.mark.parametrize(("photos", "kept"), [(0, 0), (1.5, 1), (100, 100)])
 def test_photos_that_fit_are_decoded_once_and_the_others_each_time(photos, kept):
     views, times = counted(capture().train)
-    album = Album(views, room=photos * BYTES)
+    cache = PhotoCache(views, room=photos * BYTES)
     for _ in range(3):
         for index in range(len(views)):
-            album.frame(index, 1)
+            cache.frame(index, 1)
     assert sorted(times.values()) == sorted([1] * min(kept, len(views)) + [3] * max(len(views) - kept, 0))
 
 
 def test_photos_of_a_size_that_is_wanted_no_more_make_room():
     views = capture().train
-    album = Album(views, room=3 * views[0].camera.width * views[0].camera.height)
-    small = album.frame(0, 2)
-    assert album.frame(0, 2) is small
-    whole = album.frame(0, 1)
-    assert album.frame(0, 1) is whole  # there is room for it alone
+    cache = PhotoCache(views, room=3 * views[0].camera.width * views[0].camera.height)
+    small = cache.frame(0, 2)
+    assert cache.frame(0, 2) is small
+    whole = cache.frame(0, 1)
+    assert cache.frame(0, 1) is whole  # there is room for it alone
 
 
 @pytest.mark.parametrize("resolution", [Resolution(), Resolution(((4, 2),))])

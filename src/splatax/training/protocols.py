@@ -1,0 +1,276 @@
+"""The parts of a recipe: what each of them must do, and the records that they exchange with the trainer.
+
+A part is any object that has these methods; it inherits from nothing here. It must be hashable and
+compare by value, because the recipe is static under `jit`: a frozen dataclass of settings is both. What
+a part learns or counts during a run is kept in a state, a pytree of arrays that the trainer passes in
+and takes back.
+"""
+
+from collections.abc import Hashable
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import jax
+import numpy as np
+import optax
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+
+from splatax.backends.protocol import Photometric
+from splatax.camera import Camera
+from splatax.dataset import Dataset
+from splatax.gaussians import Gaussians
+from splatax.splats import Splats
+
+
+class Source(NamedTuple):
+    """The indices, from 0, of the training photo that a batch shows and of the lens that took it."""
+
+    view: Int[Array, ""] | np.int32
+    lens: Int[Array, ""] | np.int32
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Lineage:
+    """The origin of each row of a refined scene: all that the optimizer needs to follow the Gaussians.
+
+    Attributes:
+        parent: index of the old row whose optimizer state each new row inherits.
+        newborn: rows whose optimizer state starts anew instead; empty slots are among them.
+        restarted: names of the fields whose optimizer state starts anew in every row (static).
+    """
+
+    parent: Int[Array, " n"]
+    newborn: Bool[Array, " n"]
+    restarted: tuple[str, ...] = field(default=(), metadata={"static": True})
+
+
+@dataclass(frozen=True)
+class DensityUpdate:
+    """A refined scene, as a density strategy returns it.
+
+    Attributes:
+        gaussians: the living Gaussians first, then empty slots.
+        count: number of living Gaussians.
+        lineage: where each row comes from.
+        state: of the strategy, for the new rows.
+    """
+
+    gaussians: Gaussians
+    count: int
+    lineage: Lineage
+    state: Any
+
+
+@runtime_checkable
+class Initialization(Hashable, Protocol):
+    """Creates the Gaussians from which training starts."""
+
+    def number(self, dataset: Dataset) -> int:
+        """Returns about how many Gaussians there will be, without creating them."""
+        ...
+
+    def __call__(self, dataset: Dataset, sh_degree: int, seed: int) -> Gaussians:
+        """Returns the first Gaussians of a run.
+
+        Raises:
+            DatasetError: if the capture lacks what they are made from.
+        """
+        ...
+
+
+@runtime_checkable
+class Loss(Hashable, Protocol):
+    """Compares a rendering with a photo."""
+
+    def __call__(
+        self,
+        image: Float[Array, "h w 3"],
+        photo: Float[Array, "h w 3"],
+        mask: Bool[Array, "h w"] | None,
+        kernel: Photometric,
+    ) -> Float[Array, ""]:
+        """Returns the loss, differentiable in `image`. Runs under `jit`.
+
+        Args:
+            image: the rendering, values around [0, 1].
+            photo: values in [0, 1].
+            mask: true where a pixel counts; None if all do.
+            kernel: the backend's implementation of `splatax.losses.photometric`, for losses that use it.
+        """
+        ...
+
+
+@runtime_checkable
+class Prior(Hashable, Protocol):
+    """Adds a penalty on the Gaussians to the loss."""
+
+    def __call__(self, gaussians: Gaussians, extent: Float[Array, ""]) -> Float[Array, ""]:
+        """Returns the penalty, differentiable in the scene. Runs under `jit`.
+
+        Args:
+            gaussians: the scene; empty slots must get no gradient.
+            extent: of the scene, world units.
+        """
+        ...
+
+
+@runtime_checkable
+class UpdateRule(Hashable, Protocol):
+    """Builds the transformation of optax that turns gradients into updates, such as `Adam`.
+
+    It is a value that builds the transformation, because transformations themselves cannot be compared.
+    """
+
+    def __call__(self) -> optax.GradientTransformation:
+        """Returns a transformation whose updates are for a learning rate of 1 and are added to the scene.
+
+        Its state may hold copies of the scene's shape, such as moments, and numbers that all rows share,
+        such as a step count. The copies follow the Gaussians through density control. The opacity logits
+        of empty slots are minus infinity; updates of them are ignored.
+        """
+        ...
+
+
+@runtime_checkable
+class Noise(Hashable, Protocol):
+    """Adds noise to the scene after each step."""
+
+    def __call__(
+        self, gaussians: Gaussians, rate: Float[Array, ""], extent: Float[Array, ""], key: PRNGKeyArray
+    ) -> Gaussians:
+        """Returns the scene with noise added. Runs under `jit`.
+
+        Args:
+            gaussians: the scene.
+            rate: learning rate of the means, world units per step; 0 if the step is discarded.
+            extent: of the scene, world units.
+            key: of this step.
+        """
+        ...
+
+
+@runtime_checkable
+class DensityStrategy(Hashable, Protocol):
+    """Adds, moves and removes Gaussians during training."""
+
+    def init(self, capacity: int) -> Any:
+        """Returns the state before the first step, for this many rows."""
+        ...
+
+    def watch(self, splats: Splats) -> Splats:
+        """Returns the splats of a view, with `pull` added if `observe` reads its gradient."""
+        ...
+
+    def observe(self, state: Any, splats: Splats, d_splats: Splats) -> Any:
+        """Returns the state after one view. Runs under `jit`.
+
+        Args:
+            state: before the view.
+            splats: the 2D Gaussians of the view.
+            d_splats: gradient of the loss with respect to them.
+        """
+        ...
+
+    def due(self, step: int) -> bool:
+        """Returns whether the scene is refined after this many steps."""
+        ...
+
+    def refine(
+        self, state: Any, gaussians: Gaussians, count: int, step: int, extent: float, key: PRNGKeyArray
+    ) -> DensityUpdate:
+        """Returns the refined scene. The same arguments give the same scene.
+
+        Args:
+            state: observed since the last refinement.
+            gaussians: the scene; rows from `count` on are empty slots.
+            count: number of living Gaussians.
+            step: number of steps made.
+            extent: of the scene, world units.
+            key: for random choices.
+        """
+        ...
+
+
+class PerPhotoPart(Hashable, Protocol):
+    """Learns parameters of each training photo."""
+
+    def init(self, photos: int) -> Any:
+        """Returns the state before the first step, for this many training photos."""
+        ...
+
+    def for_photo(self, state: Any, source: Source) -> Any:
+        """Returns the parameters of one photo, a pytree that gradients are taken for."""
+        ...
+
+    def update(
+        self, state: Any, source: Source, gradient: Any, progress: Float[Array, ""], steps: Float[Array, ""]
+    ) -> Any:
+        """Returns the state after a step on one photo. Runs under `jit`.
+
+        Args:
+            state: before the step.
+            source: the photo.
+            gradient: of the loss, in the shape of the photo's parameters.
+            progress: fraction of the run that is done, 0 to 1.
+            steps: number of steps of the whole run.
+        """
+        ...
+
+
+@runtime_checkable
+class Appearance(PerPhotoPart, Protocol):
+    """Models how the colours of a photo differ from those of the scene."""
+
+    def __call__(
+        self, parameters: Any, sums: Float[Array, "h w 3"], alpha: Float[Array, "h w"]
+    ) -> Float[Array, "h w 3"]:
+        """Returns the rendering in the colours of a photo. Differentiable, runs under `jit`.
+
+        Args:
+            parameters: of the photo.
+            sums: rendered colours, weighted by alpha, without a background.
+            alpha: coverage of each pixel, in [0, 1].
+        """
+        ...
+
+
+@runtime_checkable
+class CameraRefinement(PerPhotoPart, Protocol):
+    """Corrects the cameras of the training photos."""
+
+    def __call__(self, parameters: Any, camera: Camera, extent: Float[Array, ""]) -> Camera:
+        """Returns the corrected camera of a photo. Differentiable, runs under `jit`.
+
+        Args:
+            parameters: of the photo.
+            camera: as it was given.
+            extent: of the scene, world units.
+        """
+        ...
+
+
+@runtime_checkable
+class Background(Hashable, Protocol):
+    """Chooses the colour behind the scene."""
+
+    @property
+    def rgb(self) -> tuple[float, float, float]:
+        """The colour that evaluation and pictures use, RGB in [0, 1]."""
+        ...
+
+    def sample(self, key: PRNGKeyArray) -> Float[Array, "3"]:
+        """Returns the colour for one training step, RGB in [0, 1]. Runs under `jit`."""
+        ...
+
+
+@runtime_checkable
+class ResolutionSchedule(Hashable, Protocol):
+    """Chooses the size of the photos during training."""
+
+    def divisor(self, step: int, size: tuple[int, int]) -> int:
+        """Returns the factor by which photos of this size are downscaled at this step, counted from 1.
+
+        1 is full size.
+        """
+        ...

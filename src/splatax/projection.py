@@ -69,8 +69,8 @@ def project(gaussians: Gaussians, camera: Camera, low_pass: LowPass) -> Splats:
     """Projects all Gaussians to one view: the portable kernel, and the definition of what the others compute.
 
     A row is culled if the Gaussian is nearer than `NEAR`, more transparent than 1/255, beside the image, too
-    large for float32 or broken (see `gaussians.is_sound`). Culled rows have zero extent and a zero gradient, and change
-    no gradient of the camera; their other numbers are finite.
+    large for float32 or broken (see `gaussians.is_sound`). Culled rows have zero extent and a zero gradient,
+    and change no gradient of the camera; their other numbers are finite.
 
     Args:
         gaussians: n of them.

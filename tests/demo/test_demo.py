@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import splatax as sx
-from splatax.demo.capture import PHOTOS, cameras, write_capture
+from splatax.demo.capture import write_capture
+from splatax.demo.dataset import PHOTOS, cameras
 from splatax.demo.raycast import look
 
 

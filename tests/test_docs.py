@@ -6,6 +6,7 @@ because it needs what is not here, such as a notebook or another package.
 
 import ast
 import os
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -13,7 +14,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+GENERATED = ROOT / "docs" / "reference.md"
+PAGES = [ROOT / "README.md", *sorted({*(ROOT / "docs").glob("*.md")} - {GENERATED})]
 SMALL_CAPTURE = """
 import functools, runpy, sys
 import splatax as sx
@@ -72,3 +74,9 @@ def test_a_block_keeps_its_line_numbers(tmp_path):
     page = tmp_path / "page.md"
     page.write_text("Text\n```python\nfirst\n```\nmore\n```py\nother\n```\n```python\nsecond\n```\n")
     assert code_of(page, "python").split("\n") == ["", "", "first", "", "", "", "", "", "", "second", ""]
+
+
+def test_the_reference_is_what_the_docstrings_say():
+    script = runpy.run_path(str(ROOT / "docs" / "make_reference.py"))
+    committed = GENERATED.read_text(encoding="utf-8")
+    assert script["page"]() == committed, "run: python docs/make_reference.py"

@@ -32,7 +32,7 @@ weights = jnp.asarray(rng.normal(size=(24, 32, 3)), jnp.float32)
 
 
 # A wheel for the baseline alone is quick to build; any machine runs it, though `auto` looks for the best.
-backend = sx.rasterizers.resolve("cpu-baseline")
+backend = sx.backends.resolve("cpu-baseline")
 
 
 def objective(gaussians):

@@ -52,7 +52,7 @@ def newer(frame):
 
 real = native.library
 native.library = lambda instructions: SimpleNamespace(
-    splatax_best_instructions=real("baseline").splatax_best_instructions, splatax_rasterize=newer
+    splatax_best_instructions=real("baseline").splatax_best_instructions, splatax_rasterize_forward=newer
 )
 """
 
@@ -86,7 +86,7 @@ def test_a_library_for_a_newer_xla_makes_its_backend_unavailable_and_leaves_jax_
 def test_a_library_for_a_newer_xla_that_is_called_before_anything_else_leaves_jax_alone():
     printed = run(
         NEWER + "try:\n"
-        "    native.register('baseline', 'splatax_rasterize')\n"
+        "    native.register('baseline', 'splatax_rasterize_forward')\n"
         "except Exception as error:\n"
         "    print(type(error).__name__)\n"
         "print(jnp.arange(3).sum())\n"

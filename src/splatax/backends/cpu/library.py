@@ -99,7 +99,7 @@ def why_unavailable(instructions: str | None) -> str | None:
 def why_refused(instructions: str) -> str | None:
     """Returns why the installed XLA does not accept the functions of a build; None if it does."""
     try:
-        register(instructions, "splatax_rasterize")
+        register(instructions, "splatax_rasterize_forward")
     except jax.errors.JaxRuntimeError as error:
         return (
             f"jaxlib {jaxlib.__version__} does not accept the native library, which was built with the "

@@ -28,14 +28,21 @@ lint: $(READY)
 # is remembered of its allocations. What is built for AVX2 is the baseline with wider vectors, and a
 # low-pass is but a number there.
 SANITIZED := build/sanitize
-sanitize: $(READY)  ## runs the tests of the native library under the address and undefined-behaviour sanitizers
-	cmake -S . -B $(SANITIZED) -DPython_EXECUTABLE=$(abspath $(BIN)/python) -DSPLATAX_SANITIZE=address,undefined
+HEADERS := build/headers
+JAXLIB := $(shell sed -n 's/.*"\(jaxlib==[^"]*\)".*/\1/p' pyproject.toml)
+sanitize: $(READY) $(HEADERS)/.ready  ## runs the tests of the native library under the address and undefined-behaviour sanitizers
+	PYTHONPATH=$(abspath $(HEADERS)) cmake -S . -B $(SANITIZED) -DPython_EXECUTABLE=$(abspath $(BIN)/python) -DSPLATAX_SANITIZE=address,undefined
 	cmake --build $(SANITIZED) --parallel
 	LD_PRELOAD="$$($(CXX) -print-file-name=libasan.so) $$($(CXX) -print-file-name=libubsan.so) $$($(CXX) -print-file-name=libstdc++.so)" \
 	  ASAN_OPTIONS=detect_leaks=0:malloc_context_size=1:quarantine_size_mb=16 \
 	  JAX_DISABLE_MOST_OPTIMIZATIONS=1 SPLATAX_NATIVE=$(abspath $(SANITIZED)) \
 	  $(BIN)/python -m pytest tests/contracts tests/backends tests/bench --numprocesses auto --dist worksteal \
 	    -k "(test_cpu or cpu-avx512 or cpu-baseline or drawn_slots or peak) and not low_pass1" -m "not slow"
+
+# The jaxlib whose headers the library is built with, beside the one that the tests run.
+$(HEADERS)/.ready: pyproject.toml | $(READY)
+	$(BIN)/python -m pip install --quiet --no-deps --no-compile --upgrade --target $(HEADERS) '$(JAXLIB)'
+	touch $@
 
 bench: $(READY)  ## times the renderer and writes runs/bench
 	$(BIN)/splatax bench --out runs/bench

@@ -1,7 +1,17 @@
 """Every test runs with shapes checked, and with JAX refusing silent promotions."""
 
+import atexit
 import os
+import shutil
+import tempfile
 from pathlib import Path
+
+# XLA's compiler takes most of the time. Workers, and the commands that tests start, share what it has
+# compiled. JAX reads these variables when it is imported; processes that are started later inherit them.
+if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = tempfile.mkdtemp(prefix="splatax-programs-")
+    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
+    atexit.register(shutil.rmtree, os.environ["JAX_COMPILATION_CACHE_DIR"], ignore_errors=True)
 
 import jax
 import pytest

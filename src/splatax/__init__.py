@@ -1,32 +1,123 @@
-"""3D Gaussian Splatting in JAX: from photos to a scene, the same code on CPU, GPU and TPU."""
+"""3D Gaussian Splatting in JAX: from photos to a scene, the same code on CPU, GPU and TPU.
 
-from splatax.camera import Camera as Camera
-from splatax.camera import look_at as look_at
-from splatax.dataset import Dataset as Dataset
-from splatax.dataset import PointCloud as PointCloud
-from splatax.dataset import View as View
-from splatax.errors import DatasetError as DatasetError
-from splatax.errors import FormatError as FormatError
-from splatax.errors import InputError as InputError
-from splatax.evaluation import Scores as Scores
-from splatax.evaluation import evaluate as evaluate
-from splatax.gaussians import Gaussians as Gaussians
-from splatax.io.datasets import load_dataset as load_dataset
-from splatax.io.formats import load as load
-from splatax.io.formats import save as save
-from splatax.notebook import view as view
-from splatax.projection import Antialiasing as Antialiasing
-from splatax.projection import Dilation as Dilation
-from splatax.rendering import BLACK as BLACK
-from splatax.rendering import WHITE as WHITE
-from splatax.rendering import Rendering as Rendering
-from splatax.rendering import composite as composite
-from splatax.rendering import project as project
-from splatax.rendering import rasterize as rasterize
-from splatax.rendering import render as render
-from splatax.splats import Splats as Splats
-from splatax.training import recipes as recipes
-from splatax.training.loop import Progress as Progress
-from splatax.training.loop import fit as fit
-from splatax.training.loop import optimize as optimize
-from splatax.training.recipes import Recipe as Recipe
+Names are imported on first use, so `import splatax` is fast, and the renderer works where packages that
+only other parts need are not installed.
+"""
+
+import importlib
+from typing import TYPE_CHECKING
+
+__version__ = "0.1.0"
+
+HOMES = {  # public name -> module here that defines it
+    "Antialiasing": "projection",
+    "BLACK": "rendering",
+    "Camera": "camera",
+    "Dataset": "dataset",
+    "DatasetError": "errors",
+    "Dilation": "projection",
+    "FormatError": "errors",
+    "Gaussians": "gaussians",
+    "InputError": "errors",
+    "PointCloud": "dataset",
+    "Progress": "training.loop",
+    "Recipe": "training.recipes",
+    "Rendering": "rendering",
+    "Scores": "evaluation",
+    "Splats": "splats",
+    "View": "dataset",
+    "WHITE": "rendering",
+    "composite": "rendering",
+    "demo_dataset": "demo.dataset",
+    "evaluate": "evaluation",
+    "fit": "training.loop",
+    "load": "io.formats",
+    "load_dataset": "io.datasets",
+    "look_at": "camera",
+    "optimize": "training.loop",
+    "project": "rendering",
+    "rasterize": "rendering",
+    "render": "rendering",
+    "save": "io.formats",
+    "view": "notebook",
+}
+SUBMODULES = {  # public name -> module here
+    "backends": "backends",
+    "editing": "editing",
+    "forecast": "forecast",
+    "inspection": "inspection",
+    "losses": "losses",
+    "lpips": "lpips",
+    "metrics": "metrics",
+    "recipes": "training.recipes",
+    "reconstruction": "reconstruction",
+    "training": "training",
+    "trajectories": "trajectories",
+    "transforms": "transforms",
+    "viewer": "viewer",
+    "web": "web",
+}
+
+if TYPE_CHECKING:  # the same names, for type checkers and editors; tests/test_importing.py compares them
+    from splatax import backends as backends
+    from splatax import editing as editing
+    from splatax import forecast as forecast
+    from splatax import inspection as inspection
+    from splatax import losses as losses
+    from splatax import lpips as lpips
+    from splatax import metrics as metrics
+    from splatax import reconstruction as reconstruction
+    from splatax import training as training
+    from splatax import trajectories as trajectories
+    from splatax import transforms as transforms
+    from splatax import viewer as viewer
+    from splatax import web as web
+    from splatax.camera import Camera as Camera
+    from splatax.camera import look_at as look_at
+    from splatax.dataset import Dataset as Dataset
+    from splatax.dataset import PointCloud as PointCloud
+    from splatax.dataset import View as View
+    from splatax.demo.dataset import demo_dataset as demo_dataset
+    from splatax.errors import DatasetError as DatasetError
+    from splatax.errors import FormatError as FormatError
+    from splatax.errors import InputError as InputError
+    from splatax.evaluation import Scores as Scores
+    from splatax.evaluation import evaluate as evaluate
+    from splatax.gaussians import Gaussians as Gaussians
+    from splatax.io.datasets import load_dataset as load_dataset
+    from splatax.io.formats import load as load
+    from splatax.io.formats import save as save
+    from splatax.notebook import view as view
+    from splatax.projection import Antialiasing as Antialiasing
+    from splatax.projection import Dilation as Dilation
+    from splatax.rendering import BLACK as BLACK
+    from splatax.rendering import WHITE as WHITE
+    from splatax.rendering import Rendering as Rendering
+    from splatax.rendering import composite as composite
+    from splatax.rendering import project as project
+    from splatax.rendering import rasterize as rasterize
+    from splatax.rendering import render as render
+    from splatax.splats import Splats as Splats
+    from splatax.training import recipes as recipes
+    from splatax.training.loop import Progress as Progress
+    from splatax.training.loop import fit as fit
+    from splatax.training.loop import optimize as optimize
+    from splatax.training.recipes import Recipe as Recipe
+else:
+
+    def __getattr__(name: str) -> object:
+        """Imports a public name on first use (PEP 562)."""
+        if name not in HOMES and name not in SUBMODULES:
+            raise AttributeError(f"module 'splatax' has no attribute {name!r}")
+        module = f"splatax.{HOMES.get(name) or SUBMODULES[name]}"
+        from splatax.packages import required_by
+
+        with required_by(f"splatax.{name}"):
+            home = importlib.import_module(module)
+        value = getattr(home, name) if name in HOMES else home
+        globals()[name] = value
+        return value
+
+
+def __dir__() -> list[str]:
+    return sorted([*HOMES, *SUBMODULES, "__version__"])

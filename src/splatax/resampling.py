@@ -2,9 +2,9 @@
 
 import numpy as np
 from jaxtyping import Float
-from PIL import Image
 
 from splatax.dataset import Mask, Pixels
+from splatax.packages import required_by
 
 HALF, ALL = 0.5, 1 - 1e-3  # fractions of a pixel's area; ALL leaves room for rounding
 
@@ -19,6 +19,8 @@ def resize(pixels: Pixels, width: int, height: int) -> Pixels:
         mean_alpha = _area_mean(alpha, width, height)
         color = premultiplied / np.where(mean_alpha > 0, mean_alpha, 1)
         return np.round(np.concatenate([color, mean_alpha * 255], axis=2)).astype(np.uint8)
+    with required_by("resizing photos"):
+        from PIL import Image
     return np.array(Image.fromarray(pixels).resize((width, height), Image.Resampling.BOX))
 
 
@@ -37,5 +39,7 @@ def resize_mask(mask: Mask, width: int, height: int, above: float = HALF) -> Mas
 
 
 def _area_mean(values: Float[np.ndarray, "_ _ c"], width: int, height: int) -> Float[np.ndarray, "_ _ c"]:
+    with required_by("resizing photos"):
+        from PIL import Image
     planes = [Image.fromarray(plane.astype(np.float32)) for plane in np.moveaxis(values, 2, 0)]
     return np.stack([np.array(p.resize((width, height), Image.Resampling.BOX)) for p in planes], axis=2)

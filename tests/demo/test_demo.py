@@ -7,9 +7,11 @@ import sys
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 import splatax as sx
-from splatax.demo.capture import PHOTOS, cameras, write_capture
+from splatax.demo.capture import write_capture
+from splatax.demo.dataset import PHOTOS, cameras
 from splatax.demo.raycast import look
 
 
@@ -41,6 +43,32 @@ def test_points_have_the_colours_that_photos_show_there(capture):
     difference = np.abs(photo[y[inside], x[inside]] / 255 - dataset.points.colors[inside]).mean(axis=1)
     # Hidden points, highlights and edges differ; surfaces that are seen do not.
     assert np.median(difference) < 0.03
+
+
+def test_the_data_set_in_memory_is_the_capture_on_disk(capture):
+    in_memory, on_disk = sx.demo_dataset(), sx.load_dataset(capture)
+    assert [view.name for view in in_memory.test] == [view.name for view in on_disk.test]
+    view, same = in_memory.views[5], on_disk.views[5]
+    assert_array_equal(view.pixels(), same.pixels())
+    assert_allclose(view.camera.cam_from_world, same.camera.cam_from_world, atol=1e-6)  # through a quaternion
+    assert_array_equal(*(sorted(map(tuple, each.points.positions)) for each in (in_memory, on_disk)))
+
+
+@pytest.mark.parametrize("photos", [1, 7, 35])
+def test_no_two_cameras_of_a_data_set_stand_in_one_place(photos):
+    positions = np.stack([np.asarray(camera.position) for camera in cameras(photos)])
+    assert len(np.unique(positions.round(4), axis=0)) == photos
+
+
+def test_photos_of_another_size_show_the_same_width_of_the_scene():
+    (full,), (half,) = cameras(1), cameras(1, (80, 60))
+    assert float(half.fx) == pytest.approx(float(full.fx) / 2)
+    assert (half.width, half.height) == (80, 60)
+
+
+def test_a_data_set_without_photos_is_refused():
+    with pytest.raises(ValueError, match="not 0 of 160 x 120 pixels"):
+        sx.demo_dataset(photos=0)
 
 
 def test_the_highlight_moves_with_the_view():

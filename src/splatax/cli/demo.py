@@ -7,7 +7,8 @@ from splatax import web
 from splatax.cli.page import Page
 from splatax.cli.session import claim
 from splatax.cli.train import Train
-from splatax.demo.capture import PHOTOS, SIZE, write_capture
+from splatax.demo.capture import write_capture
+from splatax.demo.dataset import PHOTOS, SIZE
 from splatax.errors import InputError
 
 TITLE = "splatax demo"

@@ -3,5 +3,6 @@
 shapes.py       where a ray meets a surface
 still_life.py   which surfaces, and their textures
 raycast.py      light, shadow and highlight: a photo
-capture.py      cameras around it, and a COLMAP model with exact poses and points
+dataset.py      cameras around it, photos and surface points, in memory
+capture.py      the same on disk: photos, and a COLMAP model with exact poses and points
 """

@@ -7,30 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pycolmap
 
-from splatax.camera import Camera, look_at
-from splatax.demo.raycast import look, photograph, visible
+from splatax.camera import Camera
+from splatax.demo.dataset import FOCAL, SIZE, cameras, surface_points
+from splatax.demo.raycast import photograph, visible
 from splatax.io import images
-
-PHOTOS = 24
-SIZE = (160, 120)  # pixels
-FOCAL = 175.0  # pixels
-POINTS = 3000
-TARGET = np.array([-0.1, 0.05, 0.35])
-AZIMUTHS = (-30.0, 70.0)  # degrees from the back wall's normal; further left is behind the other wall
-ELEVATIONS = (14.0, 30.0, 46.0)  # degrees
-DISTANCE = 2.7
-
-
-def cameras() -> list[Camera]:
-    """Around the still life, in an order that puts every 8th, which is held out, among others."""
-    azimuths = np.linspace(*AZIMUTHS, PHOTOS)[(np.arange(PHOTOS) * 7 + PHOTOS // 2) % PHOTOS]
-    poses = []
-    for i, azimuth in enumerate(np.radians(azimuths)):
-        elevation = np.radians(ELEVATIONS[i % len(ELEVATIONS)])
-        level = np.array([np.sin(azimuth), -np.cos(azimuth), 0]) * np.cos(elevation)
-        position = TARGET + DISTANCE * (level + [0, 0, np.sin(elevation)])
-        poses.append(look_at(*(jnp.asarray(v, jnp.float32) for v in (position, TARGET, (0, 0, 1)))))
-    return [Camera.simple_pinhole(FOCAL, pose, *SIZE) for pose in poses]
 
 
 def write_capture(folder: Path) -> None:
@@ -64,16 +44,6 @@ def model_of(views: dict[str, Camera]) -> pycolmap.Reconstruction:
         for index, point in enumerate(np.flatnonzero(visible)):
             model.add_observation(ids[point], pycolmap.TrackElement(image_id, index))
     return model
-
-
-def surface_points(views: list[Camera]) -> tuple[np.ndarray, np.ndarray]:
-    """Points, and their colours as seen, where rays through random pixels meet a surface."""
-    rng = np.random.default_rng(0)
-    pixels = [rng.uniform(size=(POINTS // len(views), 2)) * SIZE for _ in views]
-    seen = [look(camera, jnp.asarray(p, jnp.float32)) for camera, p in zip(views, pixels, strict=True)]
-    colors, positions = (np.concatenate(part) for part in zip(*seen, strict=True))
-    met = np.isfinite(positions).all(axis=1)
-    return positions[met].astype(np.float64), colors[met]
 
 
 def observations(camera: Camera, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import jaxlib
 import numpy as np
 from jax.sharding import ManualAxisType, NamedSharding, PartitionSpec
 from jaxtyping import Array
@@ -91,12 +92,32 @@ def why_unavailable(instructions: str | None) -> str | None:
         return f"this machine has no {instructions}"
     if not library_path(instructions or best).exists():
         return f"there is no build of the native library for {instructions or best}"
+    return why_refused(instructions or best)
+
+
+@cache
+def why_refused(instructions: str) -> str | None:
+    """Returns why the installed XLA does not accept the functions of a build; None if it does."""
+    try:
+        register(instructions, "splatax_rasterize_forward")
+    except jax.errors.JaxRuntimeError as error:
+        return (
+            f"jaxlib {jaxlib.__version__} does not accept the native library, which was built with the "
+            "headers of a newer one. Update jax, or install splatax again without --no-build-isolation. "
+            f"The reason that JAX gives: {error}"
+        )
     return None
 
 
 @cache
 def register(instructions: str, symbol: str) -> str:
-    """Registers a function of a build with XLA, and returns the name it has there."""
+    """Registers a function of a build with XLA, and returns the name it has there.
+
+    Raises:
+        JaxRuntimeError: if XLA refuses it, because it was built for a newer XLA.
+    """
+    # A function that is refused while JAX starts its CPU backend takes the whole backend with it.
+    jax.local_devices(backend="cpu")
     target = f"{symbol}_{instructions}"
     function = getattr(library(instructions), symbol)
     jax.ffi.register_ffi_target(target, jax.ffi.pycapsule(function), platform="cpu")

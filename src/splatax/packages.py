@@ -1,0 +1,34 @@
+"""Packages that only parts of splatax need."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from splatax.errors import InputError
+
+NAMES = {"PIL": "pillow"}  # module -> the package that brings it, where their names differ
+
+
+class MissingPackageError(InputError, ImportError):
+    """A package that this part of splatax needs is not installed."""
+
+
+@contextmanager
+def required_by(part: str) -> Iterator[None]:
+    """Says which package to install if an import inside the block does not find its module.
+
+    Args:
+        part: what needs the package, as the subject of the message, for example "splatax.load_dataset".
+
+    Raises:
+        MissingPackageError: if a module of another package is not found.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        module = (error.name or "splatax").partition(".")[0]
+        if module == "splatax":
+            raise
+        package = NAMES.get(module, module)
+        raise MissingPackageError(
+            f"{part} needs the package {package}, which is not installed: pip install {package}"
+        ) from error

@@ -1,0 +1,82 @@
+"""The code that README and docs show, run as by a reader who pastes the blocks of a page one by one.
+
+A block that starts with ```python is run. One with ```py looks the same to readers and is only parsed,
+because it needs what is not here, such as a notebook or another package.
+"""
+
+import ast
+import os
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+GENERATED = ROOT / "docs" / "reference.md"
+PAGES = [ROOT / "README.md", *sorted({*(ROOT / "docs").glob("*.md")} - {GENERATED})]
+SMALL_CAPTURE = """
+import functools, runpy, sys
+import splatax as sx
+sx.demo_dataset = functools.partial(sx.demo_dataset, photos=5, width=48, height=36)
+runpy.run_path(sys.argv[1], run_name="__main__")
+"""
+
+
+def code_of(page: Path, fence: str) -> str:
+    """The blocks of a page, each line at its place, so that a traceback has the page's line numbers."""
+    lines, inside = [], False
+    for line in page.read_text().splitlines():
+        if inside and line.startswith("```"):
+            inside = False
+        lines.append(line if inside else "")
+        if line == f"```{fence}":
+            inside = True
+    assert not inside, f"{page.name}: a block has no end"
+    return "\n".join(lines)
+
+
+def named(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [p for p in PAGES if code_of(p, "python").strip()], ids=named)
+def test_blocks_of_a_page_run_one_after_the_other_in_an_empty_folder(page, tmp_path):
+    script = tmp_path / f"{page.stem}.py"
+    script.write_text(code_of(page, "python"))
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    done = subprocess.run(
+        [sys.executable, "-c", SMALL_CAPTURE, script],
+        cwd=empty,
+        env=os.environ
+        | {"JAX_PLATFORMS": "cpu", "JAX_DISABLE_MOST_OPTIMIZATIONS": "1", "PYTHONPATH": str(ROOT / "src")},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, f"{page.name}, with its line numbers:\n{done.stderr}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=named)
+def test_blocks_that_are_not_run_are_python_at_least(page):
+    ast.parse(code_of(page, "py"), page.name)
+
+
+def test_readme_and_resume_have_blocks_that_are_run():
+    assert code_of(ROOT / "README.md", "python").strip()
+    assert code_of(ROOT / "docs" / "resume.md", "python").strip()
+
+
+def test_a_block_keeps_its_line_numbers(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text("Text\n```python\nfirst\n```\nmore\n```py\nother\n```\n```python\nsecond\n```\n")
+    assert code_of(page, "python").split("\n") == ["", "", "first", "", "", "", "", "", "", "second", ""]
+
+
+def test_the_reference_is_what_the_docstrings_say():
+    script = runpy.run_path(str(ROOT / "docs" / "make_reference.py"))
+    committed = GENERATED.read_text(encoding="utf-8")
+    assert script["page"]() == committed, "run: python docs/make_reference.py"

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
-from splatax.camera import Camera, look_at
+from splatax.cameras import Camera, look_at
 from splatax.gaussians import Gaussians
 from splatax.math import harmonics
 from splatax.splats import MIN_ALPHA, Splats

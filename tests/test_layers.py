@@ -10,7 +10,7 @@ import splatax
 ROOT = Path(splatax.__file__).parent
 LAYERS = (  # lowest first; a package stands for all its modules
     {"math", "errors", "packages", "shapes", "varying"},
-    {"gaussians", "splats", "camera", "dataset", "forecast", "resampling", "transforms"},
+    {"gaussians", "splats", "cameras", "dataset", "forecast", "resampling", "transforms"},
     {"projection", "losses", "metrics", "lpips", "io"},
     {"backends"},
     {"rendering", "trajectories"},

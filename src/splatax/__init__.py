@@ -12,7 +12,7 @@ __version__ = "0.1.0"
 HOMES = {  # public name -> module here that defines it
     "Antialiasing": "projection",
     "BLACK": "rendering",
-    "Camera": "camera",
+    "Camera": "cameras",
     "Dataset": "dataset",
     "DatasetError": "errors",
     "Dilation": "projection",
@@ -33,7 +33,7 @@ HOMES = {  # public name -> module here that defines it
     "fit": "training.loop",
     "load": "io.formats",
     "load_dataset": "io.datasets",
-    "look_at": "camera",
+    "look_at": "cameras",
     "optimize": "training.loop",
     "project": "rendering",
     "rasterize": "rendering",
@@ -72,8 +72,8 @@ if TYPE_CHECKING:  # the same names, for type checkers and editors; tests/test_i
     from splatax import transforms as transforms
     from splatax import viewer as viewer
     from splatax import web as web
-    from splatax.camera import Camera as Camera
-    from splatax.camera import look_at as look_at
+    from splatax.cameras import Camera as Camera
+    from splatax.cameras import look_at as look_at
     from splatax.dataset import Dataset as Dataset
     from splatax.dataset import PointCloud as PointCloud
     from splatax.dataset import View as View

@@ -8,12 +8,11 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from splatax.camera import Camera
+from splatax.cameras import Camera, rig
 from splatax.errors import DatasetError
 
 Pixels = UInt8[np.ndarray, "_ _ 3"] | UInt8[np.ndarray, "_ _ 4"]
 Mask = Bool[np.ndarray, "_ _"]
-EXTENT_MARGIN = 1.1  # of the cameras' radius (authors' code of Kerbl et al. 2023)
 
 
 @dataclass(frozen=True)
@@ -109,17 +108,8 @@ class Dataset:
 
     @property
     def extent(self) -> float:
-        """Size of the scene, world units: 1.1 times the largest distance of a training camera from
-        their mean. Where all stand in one place, the median distance of the points from it, or 1.
-        """
-        positions = np.stack([np.asarray(view.camera.position, np.float64) for view in self.train])
-        centre = positions.mean(axis=0)
-        radius = float(np.linalg.norm(positions - centre, axis=1).max())
-        if radius > 1e-6 * float(np.abs(positions).max(initial=0)):
-            return EXTENT_MARGIN * radius
-        if len(self.points):
-            return float(np.median(np.linalg.norm(self.points.positions - centre, axis=1))) or 1.0
-        return 1.0
+        """Size of the scene, world units; see `cameras.rig.extent_of` of the training cameras."""
+        return rig.extent_of([view.camera for view in self.train], self.points.positions)
 
 
 def hold_out(views: list[View], every: int = 8) -> tuple[tuple[View, ...], tuple[View, ...]]:

@@ -8,7 +8,7 @@ from jaxtyping import Bool, UInt8
 
 from splatax import backends, metrics
 from splatax.backends.protocol import Kernels
-from splatax.camera import Camera
+from splatax.cameras import Camera
 from splatax.dataset import View, mask_of
 from splatax.errors import DatasetError, InputError
 from splatax.gaussians import Gaussians

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from splatax.camera import Camera
+from splatax.cameras import Camera
 from splatax.gaussians import Gaussians, is_sound
 from splatax.math import ellipsoids, harmonics
 from splatax.splats import MIN_ALPHA, Splats

@@ -12,12 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from splatax import backends
-from splatax import camera as cameras
+from splatax import backends, cameras
 from splatax import gaussians as scenes
 from splatax import splats as views
 from splatax.backends.protocol import Kernels
-from splatax.camera import Camera
+from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
 from splatax.projection import Dilation, LowPass
 from splatax.shapes import check_arrays, check_dtypes

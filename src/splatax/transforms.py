@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from splatax.camera import Camera
+from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
 from splatax.math import harmonics, quaternions
 

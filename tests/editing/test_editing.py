@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import splatax as sx
 from scenes import camera_at, random_gaussians
 from splatax import editing
-from splatax.editing.placing import up_of
+from splatax.cameras.rig import up_of
 from splatax.errors import InputError
 
 CAMERA = camera_at(size=(64, 48), focal=60.0)

@@ -9,7 +9,7 @@ import pytest
 
 import splatax as sx
 from shortened import shortened
-from splatax.camera import Camera
+from splatax.cameras import Camera
 from splatax.errors import DatasetError
 from splatax.training.initialize import FromPoints, InFrusta
 from splatax.training.recipes import PRESETS

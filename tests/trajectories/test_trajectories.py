@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from scenes import camera_at
 from splatax import trajectories
+from splatax.cameras.rig import up_of
 from splatax.errors import FormatError, InputError
-from splatax.trajectories.shapes import focus_of, up_of
+from splatax.trajectories.shapes import focus_of
 from splatax.trajectories.tour import short_way
 
 SIZE = (64, 36)

@@ -6,7 +6,7 @@ from typing import Protocol, runtime_checkable
 
 from jaxtyping import Array, Float
 
-from splatax.camera import Camera
+from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
 from splatax.projection import LowPass
 from splatax.splats import Splats

@@ -7,7 +7,7 @@ from pathlib import Path
 import tyro
 
 from splatax import web
-from splatax.camera import Camera
+from splatax.cameras import Camera
 from splatax.cli.options import BackgroundName, LowPassName, Model, background_of, load_scene, read_model
 from splatax.errors import InputError
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pycolmap
 
-from splatax.camera import Camera
+from splatax.cameras import Camera
 from splatax.demo.dataset import FOCAL, SIZE, cameras, surface_points
 from splatax.demo.raycast import photograph, visible
 from splatax.io import images

@@ -7,7 +7,7 @@ from math import gcd
 import jax.numpy as jnp
 import numpy as np
 
-from splatax.camera import Camera, look_at
+from splatax.cameras import Camera, look_at
 from splatax.dataset import Dataset, Pixels, PointCloud, View, hold_out
 from splatax.demo.raycast import look, photograph
 

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, UInt8
 
-from splatax.camera import Camera
+from splatax.cameras import Camera
 from splatax.demo.shapes import Point
 from splatax.demo.still_life import STILL_LIFE
 

@@ -6,17 +6,16 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from splatax.camera import Camera
+from splatax.cameras import Camera, rig
 from splatax.errors import InputError
 from splatax.gaussians import Gaussians
 from splatax.math import harmonics
 from splatax.transforms import Similarity
 
 UP = np.array([0.0, -1.0, 0.0])  # up in the files that viewers expect: y points down, as in a camera
-LEAST_AGREEMENT = 0.2  # least length of the mean of the cameras' unit up vectors
+LEAST_AGREEMENT = 0.2  # least length of the mean of the vectors to the tops of the images
 
 
 def merge(scenes: Sequence[Gaussians]) -> Gaussians:
@@ -34,28 +33,17 @@ def reduce_degree(gaussians: Gaussians, degree: int) -> Gaussians:
     return replace(gaussians, sh=gaussians.sh[:, : harmonics.count(degree)])
 
 
-def up_of(cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
-    """Returns the normalized mean of the cameras' up vectors, assuming that they were held upright.
-
-    Raises:
-        InputError: if the cameras were held in all directions, so that the mean is short.
-    """
-    mean = -np.mean([np.asarray(camera.rotation, np.float64)[1] for camera in cameras], axis=0)
-    length = float(np.linalg.norm(mean))
-    if length < LEAST_AGREEMENT:
-        raise InputError(
-            "The cameras were held in all directions, so none of them is up. Give a rotation instead."
-        )
-    return mean / length
-
-
 def level(cameras: Sequence[Camera]) -> Similarity:
-    """Returns the smallest rotation that levels a scene: the mean up vector of its cameras becomes -y.
+    """Returns the smallest rotation that levels a scene: the direction that is up to its cameras becomes -y.
 
     Raises:
         InputError: if the cameras do not agree on a direction that is up.
     """
-    up = up_of(cameras)
+    if np.linalg.norm(rig.tops_of(cameras).mean(axis=0)) < LEAST_AGREEMENT:
+        raise InputError(
+            "The cameras were held in all directions, so none of them is up. Give a rotation instead."
+        )
+    up = rig.up_of(cameras)
     axis = np.cross(up, UP)
     sine = float(np.linalg.norm(axis))
     axis = axis / sine if sine > 1e-9 else np.array([1.0, 0.0, 0.0])  # upside down: any horizontal axis

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from splatax import backends
-from splatax.camera import Camera
+from splatax.cameras import Camera
 from splatax.gaussians import Gaussians, broken
 from splatax.math.neighbours import mean_squared_distances
 from splatax.projection import Dilation, LowPass

@@ -6,14 +6,16 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from splatax.errors import InputError, shown
+from splatax.packages import MissingPackageError, required_by
 
 
 @contextmanager
 def blamed_on(path: Path, what: str, way_out: str, kind: type[InputError]) -> Iterator[None]:
     """Turns exceptions into an error that names the file.
 
-    Two kinds of exceptions pass as they are: the error that is asked for, which says more, and an `OSError`
-    of the file system, which is not the file's fault. The latter gets the file's name if it has none.
+    Three kinds of exceptions pass as they are: the error that is asked for, which says more, a package that is
+    not installed, and an `OSError` of the file system, which is not the file's fault. The last gets the file's
+    name if it has none.
 
     Args:
         path: the file that is read.
@@ -23,10 +25,12 @@ def blamed_on(path: Path, what: str, way_out: str, kind: type[InputError]) -> It
 
     Raises:
         InputError: of the given kind.
+        MissingPackageError: if the file needs a package that is not installed.
     """
     try:
-        yield
-    except kind:
+        with required_by(f"reading {path}"):
+            yield
+    except (kind, MissingPackageError):
         raise
     except OSError as error:
         if _of_the_file_system(error):

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from splatax.camera import Camera
+from splatax.cameras import Camera
 from splatax.dataset import View
 from splatax.math import rigid
 from splatax.training import per_photo

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, UInt8
 
-from splatax.camera import Camera
+from splatax.cameras import Camera
 from splatax.dataset import Mask, Pixels, View
 from splatax.training.photo_cache import PhotoCache
 from splatax.training.protocols import ResolutionSchedule, Source

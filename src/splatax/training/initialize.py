@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from splatax.camera import Camera
+from splatax.cameras import Camera, rig
 from splatax.dataset import Dataset
 from splatax.errors import DatasetError
 from splatax.gaussians import Gaussians
@@ -123,13 +123,8 @@ def focus_distance(cameras: list[Camera], extent: float) -> float:
     The point is ill-defined if the axes are nearly parallel, so the distance is clipped to 1 to 10 extents
     of the scene.
     """
-    rotations = np.stack([np.asarray(camera.rotation, np.float64) for camera in cameras])
-    positions = np.stack([np.asarray(camera.position, np.float64) for camera in cameras])
-    axes = rotations[:, 2]
-    # Least squares over projections onto the planes across each axis.
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    focus = np.linalg.lstsq(across.sum(0), np.einsum("nij,nj->i", across, positions), rcond=None)[0]
-    distance = float(np.median(np.einsum("ni,ni->n", focus - positions, axes)))
+    offsets = rig.nearest_to_axes(cameras) - rig.positions_of(cameras)
+    distance = float(np.median(np.einsum("ni,ni->n", offsets, rig.axes_of(cameras))))
     return float(np.clip(distance, extent, 10 * extent))
 
 

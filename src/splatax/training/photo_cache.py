@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from splatax.camera import Camera
+from splatax.cameras import Camera
 from splatax.dataset import Mask, Pixels, View, mask_of
 from splatax.errors import DatasetError
 from splatax.training.resolution import divided

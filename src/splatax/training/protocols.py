@@ -16,7 +16,7 @@ import optax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from splatax.backends.protocol import Photometric
-from splatax.camera import Camera
+from splatax.cameras import Camera
 from splatax.dataset import Dataset
 from splatax.gaussians import Gaussians
 from splatax.splats import Splats

@@ -6,7 +6,7 @@ same scene.
 
 from dataclasses import dataclass
 
-from splatax.camera import Camera
+from splatax.cameras import Camera
 from splatax.dataset import Mask, Pixels
 from splatax.resampling import ALL, resize, resize_mask
 

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
 
-from splatax.camera import Camera
+from splatax.cameras import Camera
 
 Size = tuple[int, int]  # width and height, pixels
 

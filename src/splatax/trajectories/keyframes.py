@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from splatax.camera import Camera
+from splatax.cameras import Camera
 from splatax.errors import FormatError
 from splatax.trajectories.interpolation import Keyframe, Size, interpolate
 

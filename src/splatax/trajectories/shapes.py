@@ -7,13 +7,12 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from splatax.camera import Camera, look_at
+from splatax.cameras import Camera, look_at, rig
 from splatax.errors import InputError
 from splatax.trajectories.interpolation import Keyframe, Size
 
 FOCAL = 0.8  # focal length for a scene without cameras, in units of the longer side of the image
 VIEW = (0.5, 0.2, 1.0)  # viewing direction for a scene without cameras: from above if y points down
-LEVEL_WEIGHT = 0.02  # weight of "tops point up" relative to "horizontal axes are level"
 TURNS = 2  # turns of the spiral
 REACH = 90  # percentile of the cameras' offsets that is the amplitude of the spiral
 # (both from the authors' code of Mildenhall et al. 2019, Local Light Field Fusion)
@@ -34,7 +33,7 @@ def orbit(cameras: Sequence[Camera], frames: int, size: Size, focus: Float[np.nd
     Raises:
         InputError: if the cameras are directly above the point.
     """
-    positions, up = _positions(cameras), up_of(cameras)
+    positions, up = rig.positions_of(cameras), rig.up_of(cameras)
     heights = (positions - focus) @ up
     level = positions - focus - heights[:, None] * up
     distances = np.linalg.norm(level, axis=1)
@@ -67,13 +66,13 @@ def spiral(
     Raises:
         InputError: if the cameras look in all directions, or none of the points is in front of them.
     """
-    positions = _positions(cameras)
-    forward = np.mean([np.asarray(camera.rotation, np.float64)[2] for camera in cameras], axis=0)
+    positions = rig.positions_of(cameras)
+    forward = rig.axes_of(cameras).mean(axis=0)
     if np.linalg.norm(forward) < 0.5:
         raise InputError("spiral: the cameras look in all directions. Use orbit or interpolate.")
     centre = positions.mean(axis=0)
     fov = _fov(cameras, size)
-    middle = _looking(centre, centre + forward, up_of(cameras), fov)
+    middle = _looking(centre, centre + forward, rig.up_of(cameras), fov)
     axes = middle.rotation.as_matrix().T
     reach = np.percentile(np.abs((positions - centre) @ axes.T), REACH, axis=0)
     depths = (points - centre) @ axes[2]
@@ -106,38 +105,18 @@ def overview(points: Float[np.ndarray, "n 3"], size: Size, nearness: float = 1.0
 
 
 def focus_of(cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
-    """Returns the point nearest to all optical axes, in the sense of least squares.
+    """Returns the point for `orbit` to turn around: the one that the cameras look at, world units.
 
     Raises:
-        InputError: if the point is behind most cameras, or the axes are parallel.
+        InputError: if there is no such point, see `cameras.rig.focus_of`.
     """
-    positions = _positions(cameras)
-    forward = np.stack([np.asarray(camera.rotation, np.float64)[2] for camera in cameras])
-    across = np.eye(3) - forward[:, :, None] * forward[:, None, :]
-    normal = across.sum(axis=0)
-    if np.linalg.eigvalsh(normal)[0] < 1e-6 * len(cameras):
-        raise InputError("orbit: all cameras look the same way. Use spiral or interpolate.")
-    point = np.linalg.solve(normal, np.einsum("nij,nj->i", across, positions))
-    if np.median(np.einsum("ni,ni->n", point - positions, forward)) <= 0:
-        raise InputError("orbit: the cameras look outwards, at no common point. Use interpolate.")
+    point = rig.focus_of(cameras)
+    if point is None:
+        raise InputError(
+            "orbit: the cameras look at no common point: all look the same way, or outwards. Use spiral or "
+            "interpolate."
+        )
     return point
-
-
-def up_of(cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
-    """Returns the unit vector that points up, assuming that the photos were held level.
-
-    It is the direction most nearly at right angles to the horizontal (x) axes of all cameras, on the
-    side of their tops. A small weight on the mean of the tops decides if all cameras look the same way.
-    """
-    rotations = np.stack([np.asarray(camera.rotation, np.float64) for camera in cameras])
-    right, top = rotations[:, 0], -rotations[:, 1].mean(axis=0)
-    level = right.T @ right / len(right)
-    up = np.linalg.eigh(LEVEL_WEIGHT * np.outer(top, top) - level)[1][:, -1]
-    return up if up @ top >= 0 else -up
-
-
-def _positions(cameras: Sequence[Camera]) -> Float[np.ndarray, "n 3"]:
-    return np.stack([np.asarray(camera.position, np.float64) for camera in cameras])
 
 
 def _fov(cameras: Sequence[Camera], size: Size) -> float:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from splatax.camera import Camera
+from splatax.cameras import Camera
 from splatax.trajectories.interpolation import Keyframe, Size, interpolate
 
 TURN = 1.0  # radians of rotation that count as much as the spread of the cameras

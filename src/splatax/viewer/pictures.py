@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, UInt8
 
 from splatax.backends.protocol import Kernels
-from splatax.camera import Camera
+from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
 from splatax.metrics import to_8bit
 from splatax.projection import Dilation, LowPass

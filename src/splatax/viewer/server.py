@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from splatax.camera import Camera
+from splatax.cameras import Camera
+from splatax.cameras.rig import up_of
 from splatax.dataset import View
 from splatax.errors import InputError
 from splatax.gaussians import Gaussians
-from splatax.trajectories.shapes import up_of
 from splatax.viewer.pacing import Pacing
 from splatax.viewer.panels import Panels
 from splatax.viewer.pictures import Look

@@ -11,7 +11,7 @@ import jax
 import jinja2
 import numpy as np
 
-from splatax.camera import Camera
+from splatax.cameras import Camera
 from splatax.errors import FormatError, InputError
 from splatax.gaussians import Gaussians
 from splatax.io import formats

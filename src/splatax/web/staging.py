@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from splatax.camera import Camera, look_at
+from splatax.cameras import Camera, look_at, rig
 from splatax.editing.placing import UP, level
 from splatax.errors import InputError
 from splatax.gaussians import Gaussians
@@ -51,7 +51,7 @@ def stage(gaussians: Gaussians, cameras: Mapping[str, Camera]) -> Stage:
         place = _place(np.eye(3), middle, SIZE / radius)
         return Stage(place, [], pose_of(_outside(), 2.4 * SIZE) | {"camera": -1})
     poses = list(cameras.values())
-    eyes = np.stack([np.asarray(camera.position, np.float64) for camera in poses])
+    eyes = rig.positions_of(poses)
     middle = eyes.mean(axis=0)
     depths = _focal_distances(means, poses)
     spread = float(np.linalg.norm(eyes - middle, axis=1).max())
@@ -105,15 +105,10 @@ def _focal_distances(means: Float[np.ndarray, "n 3"], cameras: Sequence[Camera])
 
     If there is no such point, it is the median depth of the Gaussians that the camera sees.
     """
-    eyes = np.stack([np.asarray(camera.position, np.float64) for camera in cameras])
-    forwards = np.stack([np.asarray(camera.rotation, np.float64)[2] for camera in cameras])
-    # The point nearest to all optical axes solves sum (I - f f^T) (p - eye) = 0.
-    across = np.eye(3) - forwards[:, :, None] * forwards[:, None, :]
-    system = across.mean(axis=0)
-    if np.linalg.eigvalsh(system)[0] > LEAST_TURN:
-        target = np.linalg.solve(system, np.einsum("cij,cj->i", across, eyes) / len(cameras))
-        distances = np.einsum("ci,ci->c", target - eyes, forwards)
-        if distances.min() > 0.1 * np.median(distances) > 0:
+    target = rig.focus_of(cameras, LEAST_TURN)
+    if target is not None:
+        distances = np.sum((target - rig.positions_of(cameras)) * rig.axes_of(cameras), axis=1)
+        if distances.min() > 0.1 * np.median(distances):
             return distances
     sample = means[:: max(len(means) // SAMPLE, 1)]
     return np.array([_median_depth(sample, camera) for camera in cameras])

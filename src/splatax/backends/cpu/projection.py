@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from splatax.backends.cpu.library import Build
-from splatax.camera import Camera
+from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
 from splatax.projection import Antialiasing, LowPass
 from splatax.splats import Splats

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from splatax.camera import Camera
+from splatax.cameras import Camera
 from splatax.dataset import PointCloud, View
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from splatax.camera import Camera
+from splatax.cameras import Camera
 from splatax.dataset import Pixels, Survey, View
 from splatax.errors import DatasetError, shown
 from splatax.io import images

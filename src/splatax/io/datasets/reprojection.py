@@ -7,7 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from splatax.camera import Camera
+from splatax.cameras import Camera
 
 if TYPE_CHECKING:
     import pycolmap

@@ -69,7 +69,11 @@ def environment_with(folder, *packages, **environment) -> Path:
 
 
 def libraries_in(wheel) -> list[str]:
-    return [name for name in zipfile.ZipFile(wheel).namelist() if name.startswith("splatax/backends/cpu/lib")]
+    return [
+        name
+        for name in zipfile.ZipFile(wheel).namelist()
+        if name.startswith("splatax/backends/cpu/libsplatax")
+    ]
 
 
 @pytest.mark.skipif(shutil.which("c++") is None, reason="no C++ compiler to build the wheel with")

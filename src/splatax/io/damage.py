@@ -13,9 +13,9 @@ from splatax.packages import MissingPackageError, required_by
 def blamed_on(path: Path, what: str, way_out: str, kind: type[InputError]) -> Iterator[None]:
     """Turns exceptions into an error that names the file.
 
-    Three kinds of exceptions pass as they are: the error that is asked for, which says more, a package that is
-    not installed, and an `OSError` of the file system, which is not the file's fault. The last gets the file's
-    name if it has none.
+    Three kinds of exceptions pass as they are: the error that is asked for, which says more, a package that
+    is not installed, and an `OSError` of the file system, which is not the file's fault. The last gets the
+    file's name if it has none.
 
     Args:
         path: the file that is read.

@@ -25,6 +25,7 @@ from splatax.io.formats import compressed_ply, glb, ksplat, ply, sog, sog_folder
 from splatax.io.formats.marks import MIP as MIP
 from splatax.io.formats.marks import mark as mark
 from splatax.io.formats.untrusted import structured
+from splatax.packages import required_by
 
 FORMATS: dict[str, ModuleType] = {
     ".ply": ply,
@@ -93,7 +94,8 @@ def save(path: str | Path, gaussians: Gaussians, *, comments: tuple[str, ...] = 
             f"{gaussians.sh_degree}. Reduce it (--sh-degree {module.MAX_SH_DEGREE}), or choose .ply or .spz."
         )
     written = _written(path, gaussians)
-    module.save(path, written, comments=comments, **options)
+    with required_by(f"writing {path}"):
+        module.save(path, written, comments=comments, **options)
     return len(written)
 
 

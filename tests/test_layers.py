@@ -16,6 +16,7 @@ LAYERS = (  # lowest first; a package stands for all its modules
     {"rendering", "trajectories"},
     {"training", "evaluation", "editing"},
     {"report", "demo", "bench", "budget", "reconstruction", "inspection", "notebook", "web"},
+    {"runs"},
     {"viewer"},
     {"cli", "__main__"},
 )

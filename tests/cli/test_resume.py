@@ -175,7 +175,7 @@ def test_a_stopped_run_is_not_replaced_unless_told(stopped, capture, capsys):
 
 
 def test_nothing_to_go_on_with(capture, tmp_path, capsys, trained):
-    assert "the run is finished" in refused(capsys, go_on, trained)
+    assert "already finished" in refused(capsys, go_on, trained)
     assert "no such run" in refused(capsys, go_on, tmp_path / "nowhere")
     assert "stopped here before its first" in refused(capsys, go_on, tmp_path)
     (tmp_path / "scene.ply").write_bytes(b"")

@@ -1,6 +1,5 @@
 """The command line: the library's first user."""
 
-import errno
 import sys
 import warnings
 from collections.abc import Sequence
@@ -15,8 +14,10 @@ from splatax.cli.demo import Demo
 from splatax.cli.doctor import Doctor
 from splatax.cli.evaluate import Evaluate
 from splatax.cli.export import Export
+from splatax.cli.failures import advice, sentence
 from splatax.cli.inspect import Inspect
 from splatax.cli.interruption import STOPPED
+from splatax.cli.output import complain, guarded
 from splatax.cli.page import Page
 from splatax.cli.platform import keep_compiled_programs, keep_freed_memory
 from splatax.cli.reconstruct import Reconstruct
@@ -40,41 +41,30 @@ Command = (
     | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]
 )
-REASONS = {  # why a file cannot be used, and the way out, where the system says less
-    errno.EEXIST: "a file, where a folder is needed. Choose another place.",
-    errno.ENOTDIR: "lies below a file, where a folder is needed. Choose another place.",
-    errno.EISDIR: "a folder, where a file is needed. Choose another name.",
-    errno.EACCES: "not permitted. Choose a place that you may use.",
-    errno.EPERM: "not permitted. Choose a place that you may use.",
-    errno.EROFS: "on a disk that cannot be written to. Choose another place.",
-    errno.ENOSPC: "no space is left on the disk. Free some, and run it again.",
-}
+REFUSED = 2  # exit code
 DESCRIPTION = "3D Gaussian Splatting in JAX: from photos to a scene, on CPU, GPU and TPU."
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Runs a command. Bad input is one sentence on stderr and exit code 2, never a traceback."""
-    command = tyro.cli(
-        Command,
-        args=arguments,
-        prog="splatax",
-        description=DESCRIPTION,
-        config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
-    )
-    warnings.formatwarning = lambda message, *_: f"splatax: warning: {message}\n"  # without lines of code
-    keep_compiled_programs()
-    keep_freed_memory()
-    try:
-        command.run()
-    except InputError as error:
-        sys.exit(_refused(error))
-    except OSError as error:
-        reason = REASONS.get(error.errno or 0, f"{error.strerror or error}.")
-        sys.exit(_refused(f"{error.filename or 'a file'}: {reason}"))
-    except KeyboardInterrupt:
-        sys.exit(STOPPED)
-
-
-def _refused(reason: object) -> int:
-    print(f"splatax: {reason}", file=sys.stderr)
-    return 2
+    """Runs a command. Bad input ends in one sentence on standard error and exit code 2."""
+    with guarded():
+        command = tyro.cli(
+            Command,
+            args=arguments,
+            prog="splatax",
+            description=DESCRIPTION,
+            config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
+        )
+        warnings.showwarning = lambda message, *_: complain(f"warning: {message}")  # without lines of code
+        keep_compiled_programs()
+        keep_freed_memory()
+        try:
+            command.run()
+        except InputError as error:
+            complain(advice(error, command))
+            sys.exit(REFUSED)
+        except OSError as error:
+            complain(sentence(error))
+            sys.exit(REFUSED)
+        except KeyboardInterrupt:
+            sys.exit(STOPPED)

@@ -19,6 +19,7 @@ from splatax.bench.plot import plot
 from splatax.bench.scenes import Scene, framed, procedural
 from splatax.bench.timing import Timing, interleaved
 from splatax.cli.options import BackendName, parse_size, resolve_backend
+from splatax.cli.output import cell, say
 from splatax.cli.platform import device, peak_memory, versions
 from splatax.cli.results import write_json
 from splatax.errors import InputError
@@ -66,7 +67,8 @@ class Bench:
                 console.print(table(results[-1]))
                 write_json(self.out / "bench.json", self.contents(results, flops))
         write_whole(self.out / "bench.png", plot(results))
-        print(f"timings {self.out / 'bench.json'}\nplot    {self.out / 'bench.png'}")
+        say(f"timings {self.out / 'bench.json'}")
+        say(f"plot    {self.out / 'bench.png'}")
 
     def contents(self, results: list[dict[str, Any]], flops: float | None) -> dict[str, Any]:
         """Of bench.json."""
@@ -131,7 +133,7 @@ def table(result: dict[str, Any]) -> Table:
         f"{result['scene']}: {result['visible']:,} of {result['gaussians']:,} Gaussians visible, "
         f"SH degree {result['sh_degree']}, {result['width']} x {result['height']}{memory}"
     )
-    drawn = Table(title=title, title_justify="left")
+    drawn = Table(title=cell(title), title_justify="left")
     for heading in ("operation", "backend"):
         drawn.add_column(heading)
     for heading in ("median, ms", "minimum, ms", "first, ms", "ratio", "of limit"):
@@ -160,7 +162,7 @@ def scene_maker(name: str) -> Callable[[tuple[int, int]], Scene] | None:
     if name in BIKER:
         path = Path(os.environ.get("SPLATAX_DATA", "../shared/data")) / "splats" / "biker.compressed.ply"
         if not path.exists():
-            print(f"{name}: skipped, no {path}. SPLATAX_DATA names the folder of test data.")
+            say(f"{name}: skipped, no {path}. SPLATAX_DATA names the folder of test data.")
             return None
     if not path.exists():
         raise InputError(

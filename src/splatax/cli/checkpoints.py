@@ -12,7 +12,7 @@ import numpy as np
 
 from splatax.errors import InputError
 from splatax.evaluation import Scores, ViewScore
-from splatax.io.files import replacing
+from splatax.io.files import disk_of, replacing
 from splatax.report.history import Evaluation, History
 from splatax.training import checkpoint
 from splatax.training.checkpoint import Checkpoint
@@ -109,8 +109,8 @@ class Checkpoints:
                 else "Do without checkpoints: --checkpoint-every 0"
             )
             raise InputError(
-                f"{self.run / FOLDER}: no checkpoint can be written ({error.strerror or error}), so training "
-                f"has stopped. {way_out}."
+                f"{self.run / FOLDER}: no checkpoint can be written ({error.strerror or error}; "
+                f"{disk_of(self.run)}), so training has stopped. {way_out}."
             ) from error
 
     def discard(self) -> None:

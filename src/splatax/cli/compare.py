@@ -7,21 +7,20 @@ from typing import Any
 
 import numpy as np
 import tyro
-from rich.console import Console
 from rich.progress import track
 from rich.table import Column, Table
-from rich.text import Text
 
 import splatax as sx
 from splatax.cli.display import duration
 from splatax.cli.options import BackendName, Model, background_of, load_scene, read_model, resolve_backend
+from splatax.cli.output import cell, say, show
 from splatax.cli.runs import FinishedRun, check_comparable, psnr_of, read_runs
-from splatax.cli.session import claim
 from splatax.dataset import mask_of
 from splatax.errors import InputError
 from splatax.evaluation import photo_of, picture
 from splatax.io.files import write_whole
 from splatax.report.side_by_side import Curve, Lineup, Row, side_by_side
+from splatax.runs.claim import claimed
 
 UNKNOWN = "-"
 NOT_OF_THE_METHOD = {"scene", "out", "overwrite", "backend", "eval_every"}  # options that change no picture
@@ -52,17 +51,16 @@ class Compare:
         views = [views_of(run, model, self.scene) for run, model in zip(runs, models, strict=True)]
         check_sizes(runs, views)
         out = self.out or self.runs[0].resolve().parent / "compare"
-        claim(out, overwrite=True)
-
         rows = rows_of(runs)
-        Console().print(table_of(runs, rows))
+        show(table_of(runs, rows))
         backend = resolve_backend(self.backend)
         lineups = [
             lineup(runs, models, views[0][name], backend) for name in track(runs[0].test_psnr, "rendering")
         ]
         page = side_by_side([run.name for run in runs], rows, [curve_of(run) for run in runs], lineups)
-        write_whole(out / "compare.html", page.encode())
-        print(f"compare {out / 'compare.html'}")
+        with claimed(out):
+            write_whole(out / "compare.html", page.encode())
+        say(f"compare {out / 'compare.html'}")
 
 
 def views_of(run: FinishedRun, model: Model, scene: Path | None) -> dict[str, sx.View]:
@@ -171,8 +169,8 @@ def megabytes(size: int) -> str:
 
 def table_of(runs: Sequence[FinishedRun], rows: Sequence[Row]) -> Table:
     """A column for each run."""
-    table = Table("", *(Column(Text(run.name), justify="right", overflow="fold") for run in runs))
+    table = Table("", *(Column(cell(run.name), justify="right", overflow="fold") for run in runs))
     for entry in rows:
         cells = zip(entry.cells, entry.best, strict=True)
-        table.add_row(entry.label, *(Text(cell, style="bold" if best else "") for cell, best in cells))
+        table.add_row(entry.label, *(cell(text, "bold" if best else "") for text, best in cells))
     return table

@@ -1,7 +1,6 @@
 """`splatax create`: from photos to a page, in one command."""
 
-import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import tyro
@@ -9,17 +8,32 @@ import tyro
 from splatax import web
 from splatax.cli.checkpoints import files
 from splatax.cli.interruption import resumable
+from splatax.cli.output import say
 from splatax.cli.page import Page
 from splatax.cli.planning import parse_budget
 from splatax.cli.reconstruct import Reconstruct
 from splatax.cli.results import write_json
-from splatax.cli.session import claim
 from splatax.cli.train import Train
 from splatax.errors import InputError
 from splatax.io.datasets import is_capture
 from splatax.reconstruction.work import refuse_overlap
+from splatax.runs.claim import claimed
+from splatax.runs.records import read_record, typed_fields, understood
 
 ORDER = "create.json"  # in OUT, once there is a capture: what the rest is made of
+
+
+@dataclass(frozen=True)
+class Order:
+    """What a folder of `create` holds.
+
+    Attributes:
+        photos: absolute path of what it was made from.
+        seconds: of training.
+    """
+
+    photos: str
+    seconds: float
 
 
 @dataclass(frozen=True)
@@ -44,15 +58,21 @@ class Create:
     def run(self) -> None:
         web.require_viewer()  # before an hour of work, not after it
         self.refuse_what_cannot_be_made()
+        with claimed(self.out):
+            self.refuse_what_was_made_otherwise()
+            self.make()
+
+    def make(self) -> None:
+        """Goes through the stages that are not done yet."""
         run, page = self.out / "run", self.out / "scene.html"
         with resumable():
             capture = self.photos if is_capture(self.photos) else self.reconstructed()
-            write_json(self.out / ORDER, self.order())
+            write_json(self.out / ORDER, asdict(self.order()))
             self.train(capture, run)
             if files(run):
                 raise KeyboardInterrupt  # which training has heard, and ended well
             Page(run, page, scene=capture, title=self.named(), overwrite=True).run()
-        print(f"open it with a double click: {page}")
+        say(f"open it with a double click: {page}")
 
     def refuse_what_cannot_be_made(self) -> None:
         """Raises InputError before any work is done."""
@@ -61,17 +81,23 @@ class Create:
         if not is_capture(self.photos):
             refuse_overlap(self.photos, self.out / "capture")
         parse_budget(self.budget)
-        claim(self.out, overwrite=True)
+        if self.out.exists() and not self.out.is_dir():
+            raise InputError(f"{self.out}: a file, not a folder. Choose another --out.")
+
+    def refuse_what_was_made_otherwise(self) -> None:
+        """Raises InputError if the folder holds the results of other photos or of another budget."""
         if self.overwrite or not (self.out / ORDER).exists():
             return
-        earlier, now = json.loads((self.out / ORDER).read_text()), self.order()
+        way_out = "Replace what is there: --overwrite, or choose another --out."
+        with understood(self.out / ORDER, way_out):
+            earlier, now = Order(**typed_fields(Order, read_record(self.out / ORDER, way_out))), self.order()
         replacing = "or replace it: --overwrite"
-        if earlier["photos"] != now["photos"]:
-            raise InputError(f"{self.out}: made from {earlier['photos']}. Choose another --out, {replacing}.")
-        if earlier["seconds"] != now["seconds"]:
+        if earlier.photos != now.photos:
+            raise InputError(f"{self.out}: made from {earlier.photos}. Choose another --out, {replacing}.")
+        if earlier.seconds != now.seconds:
             capture = self.photos if is_capture(self.photos) else self.out / "capture"
             raise InputError(
-                f"{self.out}: trained for {earlier['seconds']:g} s, not {now['seconds']:g} s. Train with the "
+                f"{self.out}: trained for {earlier.seconds:g} s, not {now.seconds:g} s. Train with the "
                 f"same cameras in another folder: splatax create {capture} --out OTHER, {replacing}."
             )
 
@@ -79,9 +105,9 @@ class Create:
         """The title of what is made."""
         return self.title or self.out.resolve().name
 
-    def order(self) -> dict[str, object]:
-        """What the scene is made of, as JSON values."""
-        return {"photos": str(self.photos.resolve()), "seconds": parse_budget(self.budget)}
+    def order(self) -> "Order":
+        """Returns what the scene is made of."""
+        return Order(str(self.photos.resolve()), parse_budget(self.budget))
 
     def reconstructed(self) -> Path:
         """The capture of the photos, made if it is not there yet."""
@@ -95,6 +121,6 @@ class Create:
         if files(run) and not self.overwrite:
             Train(resume=run).run()
         elif (run / "report.html").exists() and not self.overwrite:
-            print(f"trained already: {run / 'scene.ply'}")
+            say(f"trained already: {run / 'scene.ply'}")
         else:
             Train(capture, out=run, title=self.named(), budget=self.budget, overwrite=True).run()

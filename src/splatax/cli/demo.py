@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from splatax import web
+from splatax.cli.output import say
 from splatax.cli.page import Page
 from splatax.cli.session import claim
 from splatax.cli.train import Train
@@ -32,10 +33,10 @@ class Demo:
     """Replace the results of an earlier run in the same folder."""
 
     def run(self) -> None:
-        claim(self.out, self.overwrite)
         capture = self.out / "capture"
-        print(f"drawing {PHOTOS} photos of {SIZE[0]} x {SIZE[1]} pixels into {capture}")
-        write_capture(capture)
+        with claim(self.out, self.overwrite):
+            say(f"drawing {PHOTOS} photos of {SIZE[0]} x {SIZE[1]} pixels into {capture}")
+            write_capture(capture)
         Train(
             capture,
             self.out,
@@ -48,8 +49,8 @@ class Demo:
         try:
             web.require_viewer()
         except InputError as error:
-            print(f"no page of the scene: {error}")
+            say(f"no page of the scene: {error}")
             return
         page = self.out / "scene.html"
         Page(self.out, page, scene=capture, title=TITLE, overwrite=True).run()
-        print(f"open it with a double click: {page}")
+        say(f"open it with a double click: {page}")

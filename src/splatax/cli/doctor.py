@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 import splatax as sx
 from splatax import backends
 from splatax.backends.cpu import library
 from splatax.bench.scenes import procedural
+from splatax.cli.output import complain, say, show
 from splatax.cli.platform import device, versions
 
 GAUSSIANS, SIZE = 500, (64, 48)  # of the self-test
@@ -28,11 +28,11 @@ class Doctor:
     """
 
     def run(self) -> None:
-        print(f"device        {device()}; JAX runs on {jax.default_backend()}")
-        print(f"threads       {usable_threads()} usable by this process")
+        say(f"device        {device()}; JAX runs on {jax.default_backend()}")
+        say(f"threads       {usable_threads()} usable by this process")
         if library.why_unavailable(None) is None:
-            print(f"instructions  {library.best_instructions()}")
-        print("versions      " + ", ".join(f"{name} {version}" for name, version in versions().items()))
+            say(f"instructions  {library.best_instructions()}")
+        say("versions      " + ", ".join(f"{name} {version}" for name, version in versions().items()))
         table = Table("rasterizer", "state", "largest difference from the reference")
         chosen, sound = backends.resolve().name, True
         expected = image_and_gradient("reference")
@@ -45,9 +45,9 @@ class Doctor:
             sound &= error <= TOLERANCE
             state = "chosen by auto" if name == chosen else "available"
             table.add_row(name, state, f"{error:.1e}" + ("" if error <= TOLERANCE else "  WRONG"))
-        Console().print(table)
+        show(table)
         if not sound:
-            print("A rasterizer is wrong here. Please report this, with all of the above.", file=sys.stderr)
+            complain("a rasterizer is wrong here. Please report this, with all of the above.")
             sys.exit(1)
 
 

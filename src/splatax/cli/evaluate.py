@@ -5,9 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 import tyro
-from rich.console import Console
 from rich.table import Column, Table
-from rich.text import Text
 
 import splatax as sx
 from splatax import lpips
@@ -21,6 +19,7 @@ from splatax.cli.options import (
     read_model,
     resolve_backend,
 )
+from splatax.cli.output import cell, say, show
 from splatax.cli.results import measures_of, protocol, scores_as_json, write_json
 from splatax.errors import InputError
 
@@ -72,18 +71,15 @@ class Evaluate:
             lpips=perceptual,
         )
         how = protocol(background) | ({"lpips": perceptual.protocol} if perceptual else {})
-        console = Console()
-        console.print(table_of(scores))
-        console.print(
-            f"worst   {scores.worst.name}, {scores.worst.psnr:.3f} dB", markup=False, highlight=False
-        )
+        show(table_of(scores))
+        say(f"worst   {scores.worst.name}, {scores.worst.psnr:.3f} dB")
         masked = sum(view.mask is not None for view in views)
         for name in [*measures_of(scores), *(["masks"] if masked else [])]:
-            console.print(f"{LABELS.get(name, name)}: {how[name]}", style="dim", highlight=False)
+            show(cell(f"{LABELS.get(name, name)}: {how[name]}", "dim"))
         out = self.out or model.path.parent / "eval.json"
         contents = {"model": model.path, "scene": self.scene, "split": self.split, "protocol": how}
         write_json(out, contents | scores_as_json(scores))
-        print(f"scores  {out}")
+        say(f"scores  {out}")
 
 
 def table_of(scores: sx.Scores) -> Table:
@@ -92,7 +88,7 @@ def table_of(scores: sx.Scores) -> Table:
     table = Table("view", *(Column(LABELS[name], justify="right") for name in measured))
 
     def add(label: str, measures: dict[str, float]) -> None:
-        table.add_row(Text(label), *(f"{value:.{DECIMALS[name]}f}" for name, value in measures.items()))
+        table.add_row(cell(label), *(f"{value:.{DECIMALS[name]}f}" for name, value in measures.items()))
 
     for view in scores.views:
         add(view.name, measures_of(view))

@@ -20,6 +20,7 @@ from splatax.cli.options import (
     read_model,
     resolve_backend,
 )
+from splatax.cli.output import say
 from splatax.cli.page import is_page, write_page
 from splatax.errors import InputError
 from splatax.io import formats
@@ -93,7 +94,7 @@ class Export:
             views = moved(dataset.views, place) if dataset else ()
             cameras = {view.name: view.camera for view in views}
             write_page(self.out, replace(model, gaussians=edited), cameras, self.title, self.background)
-            print(f"loses: {web.LOSES}")
+            say(f"loses: {web.LOSES}")
             return
         self._save(model, edited)
         if dataset:
@@ -126,8 +127,8 @@ class Export:
         count = sx.save(self.out, edited, comments=(mark,), **options)
         before, after = model.path.stat().st_size, self.out.stat().st_size
         share = f"{before / after:.1f} x smaller" if after <= before else f"{after / before:.1f} x larger"
-        print(f"{self.out}: {count:,} Gaussians, {after / 1e6:.2f} MB ({share})")
-        print(f"loses: {formats.format_of(self.out).LOSES}")
+        say(f"{self.out}: {count:,} Gaussians, {after / 1e6:.2f} MB ({share})")
+        say(f"loses: {formats.format_of(self.out).LOSES}")
 
     def _selected(self, model: Model, dataset: sx.Dataset | None) -> sx.Gaussians:
         gaussians = model.gaussians
@@ -135,7 +136,7 @@ class Export:
             gaussians = editing.merge([gaussians, *map(sx.load, self.merge)])
         if self.clean:
             gaussians, removed = editing.clean(gaussians, weights=self._weights(model, gaussians, dataset))
-            print("cleaned: " + ", ".join(f"{count:,} {reason}" for reason, count in removed.items()))
+            say("cleaned: " + ", ".join(f"{count:,} {reason}" for reason, count in removed.items()))
         if self.crop_box:
             gaussians = editing.crop(gaussians, editing.Box(self.crop_box[:3], self.crop_box[3:]))
         if self.crop_sphere:
@@ -170,7 +171,7 @@ class Export:
             for g, v in ((model.gaussians, views), (sx.load(self.out), moved(views, place)))
         )
         kind = "test" if dataset.test else "training"
-        print(f"PSNR of {len(views)} {kind} views: {before.psnr:.3f} dB before, {after.psnr:.3f} dB after")
+        say(f"PSNR of {len(views)} {kind} views: {before.psnr:.3f} dB before, {after.psnr:.3f} dB after")
 
 
 def moved(views: tuple[sx.View, ...], place: Similarity | None) -> tuple[sx.View, ...]:

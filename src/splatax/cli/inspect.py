@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import tyro
-from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from splatax.cli.options import Downscale, load_scene
+from splatax.cli.output import cell, say, show
 from splatax.errors import InputError
 from splatax.inspection import examine, problems_of, seconds_to_train
 from splatax.io import images
@@ -44,25 +44,24 @@ class Inspect:
         dataset = load_scene(self.scene, self.downscale) if known else None
         found = examine(self.scene if known else folder, dataset)
         if dataset is not None:
-            print("measuring the speed of this machine ...")
+            say("measuring the speed of this machine ...")
             found = replace(found, seconds=seconds_to_train(dataset, found.gaussians))
         problems = problems_of(found)
-        console = Console()
         table = Table(box=None, show_header=False, pad_edge=False)
         for label, value in facts_of(found):
-            table.add_row(label, escape(value))
-        console.print(table)
-        console.print(f"\n[bold]{verdict(problems)}[/bold]")
+            table.add_row(label, cell(value))
+        show(table)
+        show(cell(f"\n{verdict(problems)}", "bold"))
         for problem in problems:
             color = COLORS[problem.severity]
-            console.print(f"[{color}]{problem.severity}[/{color}]  {escape(problem.what)}")
-            console.print(f"   -> {escape(problem.fix)}")
+            show(Text.assemble((problem.severity, color), "  ", cell(problem.what)))
+            show(cell(f"   -> {problem.fix}"))
         out = self.out or Path("runs") / self.scene.resolve().name / "inspect.html"
         try:
             out.parent.mkdir(parents=True, exist_ok=True)
             write_whole(out, capture_page(found, problems).encode())
         except OSError as error:
             raise InputError(f"{out}: cannot be written ({error.strerror}). Choose another --out.") from error
-        print(f"\npage    {out}")
+        say(f"page    {out}")
         if any(problem.severity == "error" for problem in problems):
             sys.exit(1)

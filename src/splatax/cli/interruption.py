@@ -7,6 +7,8 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
+from splatax.cli.output import complain
+
 SIGNALS = (signal.SIGINT, signal.SIGTERM)  # Ctrl-C, and what a system sends before it shuts down
 STOPPED = 130  # exit code, as shells have it for Ctrl-C
 
@@ -17,7 +19,7 @@ def resumable() -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        print("stopped. To go on: the same command again", file=sys.stderr)
+        complain("stopped. To go on: the same command again")
         sys.exit(STOPPED)
 
 

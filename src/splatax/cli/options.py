@@ -1,6 +1,5 @@
 """Options that several commands share, and a model as they are given one: a file, or a run."""
 
-import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,6 +10,8 @@ import jax
 
 import splatax as sx
 from splatax import backends
+from splatax.cli.output import say
+from splatax.cli.runs import options_beside
 from splatax.errors import InputError
 from splatax.io import formats
 from splatax.projection import LOW_PASSES, LowPass
@@ -55,11 +56,7 @@ def read_model(path: Path, low_pass: str | None) -> Model:
     gaussians = sx.load(path)
     marked = formats.MIP in formats.comments(path)
     name = low_pass or ("antialiasing" if marked else "dilation")
-    try:
-        options = json.loads((path.parent / "config.json").read_text())["options"]
-    except (OSError, ValueError, KeyError):
-        options = {}
-    return Model(path, gaussians, options, LOW_PASSES[name])
+    return Model(path, gaussians, options_beside(path), LOW_PASSES[name])
 
 
 def background_of(options: Mapping[str, Any], asked: str | None = None) -> tuple[float, float, float]:
@@ -110,5 +107,5 @@ def resolve_backend(name: str) -> str:
     except ValueError as error:
         raise InputError(f"--backend: {error}.") from error
     if name == "auto" and jax.default_backend() == "cpu" and chosen != "cpu":
-        print(f"using the portable rasterizer: {backends.why_unavailable('cpu')}")
+        say(f"using the portable rasterizer: {backends.why_unavailable('cpu')}")
     return chosen

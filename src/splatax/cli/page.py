@@ -9,6 +9,7 @@ import tyro
 from splatax import web
 from splatax.camera import Camera
 from splatax.cli.options import BackgroundName, LowPassName, Model, background_of, load_scene, read_model
+from splatax.cli.output import say
 from splatax.errors import InputError
 
 SUFFIXES = (".html", ".htm")
@@ -75,7 +76,7 @@ def write_page(
         low_pass=model.low_pass,
     )
     size = out.stat().st_size / 1e6
-    print(f"{out}: {len(model.gaussians):,} Gaussians, {len(cameras)} cameras, {size:.1f} MB")
+    say(f"{out}: {len(model.gaussians):,} Gaussians, {len(cameras)} cameras, {size:.1f} MB")
 
 
 def _name(path: Path) -> str:

@@ -9,6 +9,7 @@ from splatax import forecast
 from splatax.budget import Plan, measured, parse_seconds, plan, quantity
 from splatax.cli.display import duration
 from splatax.cli.options import load_scene
+from splatax.cli.output import say
 from splatax.cli.platform import physical_memory
 from splatax.dataset import Dataset
 from splatax.errors import InputError
@@ -79,7 +80,7 @@ def room_within(limit: str | None, dataset: Dataset, first: int) -> Room:
     photos = min(wanted, PHOTOS_SHARE * (total - least))
     room = Room(forecast.most_gaussians(total, width, height, round(photos)), photos)
     kept = "all photos" if photos == wanted else f"{gigabytes(photos)} of {gigabytes(wanted)} of photos"
-    print(f"within {gigabytes(total)}: room for {room.gaussians:,} Gaussians and {kept}")
+    say(f"within {gigabytes(total)}: room for {room.gaussians:,} Gaussians and {kept}")
     return room
 
 
@@ -98,11 +99,11 @@ def within(seconds: int | float, recipe: sx.Recipe, dataset: sx.Dataset, room: i
         room: how many Gaussians there may be.
         most: how many there shall be; None for as many as suit.
     """
-    print("measuring the speed of this machine ...")
+    say("measuring the speed of this machine ...")
     camera = dataset.train[0].camera
     costs = measured((camera.width, camera.height), recipe)
     chosen = plan(costs, seconds, recipe.initialization.number(dataset), room, most)
-    print(
+    say(
         f"about {chosen.steps:,} steps and {chosen.max_gaussians:,} Gaussians in {duration(seconds)}, at "
         f"{1e3 * costs.fine.step(chosen.max_gaussians):.0f} ms a step in the end"
     )

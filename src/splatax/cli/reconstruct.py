@@ -12,11 +12,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from splatax.cli.display import PLAIN_SECONDS, duration
 from splatax.cli.interruption import resumable
+from splatax.cli.output import say
 from splatax.errors import InputError
 from splatax.reconstruction import Outcome, pipeline, reconstruct
 from splatax.reconstruction.mapping import Features
 from splatax.reconstruction.pairs import Exhaustive, Pairing, Sequential, Similar
 from splatax.reconstruction.work import clear
+from splatax.runs.claim import claimed
 
 PAIRINGS: dict[str, Pairing | None] = {
     "auto": None,
@@ -62,10 +64,10 @@ class Reconstruct:
     def run(self) -> None:
         if self.frames < pipeline.FEWEST:
             raise InputError(f"--frames: at least {pipeline.FEWEST}, not {self.frames}.")
-        if self.overwrite:
-            clear(self.photos, self.out)
         began = time.monotonic()
-        with resumable(), Stages() as stages:
+        with claimed(self.out), resumable(), Stages() as stages:
+            if self.overwrite:
+                clear(self.photos, self.out)
             outcome = reconstruct(
                 self.photos,
                 self.out,
@@ -76,9 +78,9 @@ class Reconstruct:
                 watch=stages.show,
             )
         for line in told(outcome):
-            print(line)
-        print(f"capture {self.out}, after {duration(time.monotonic() - began)}")
-        print(f"look at it: splatax inspect {self.out}      train on it: splatax train {self.out}")
+            say(line)
+        say(f"capture {self.out}, after {duration(time.monotonic() - began)}")
+        say(f"look at it: splatax inspect {self.out}      train on it: splatax train {self.out}")
 
 
 def told(outcome: Outcome) -> list[str]:

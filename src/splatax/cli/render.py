@@ -1,8 +1,10 @@
 """`splatax render`: pictures and depth of a scene from the cameras of its capture, or a film."""
 
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import tyro
@@ -23,11 +25,14 @@ from splatax.cli.options import (
     resolve_backend,
     scene_of,
 )
+from splatax.cli.output import say
 from splatax.errors import InputError
 from splatax.io import video
+from splatax.io.files import path_inside, replacing
 from splatax.io.images import write
 from splatax.metrics import to_8bit
 from splatax.report.pictures import depth_map
+from splatax.runs.claim import claimed
 
 
 @dataclass(frozen=True)
@@ -80,23 +85,25 @@ class Render:
             film = replace(film, background=background, backend=resolve_backend(self.backend))
             cameras = film.cameras(model, dataset)
             film.write(self.out, model, cameras)
-            print(f"{len(cameras)} frames in {self.out}")
+            say(f"{len(cameras)} frames in {self.out}")
             return
         if dataset is None or scene is None:
             raise InputError(f"{self.model}: from which cameras? Name the capture's folder, or a --path.")
         backend = resolve_backend(self.backend)
         views = views_of(dataset, self.split, scene)
         self._refuse_to_replace(film=False)
-        for view in track(views, description="rendering"):
-            drawn = sx.render(
-                model.gaussians,
-                view.camera,
-                background=np.array(background, np.float32),
-                low_pass=model.low_pass,
-                backend=backend,
-            )
-            self.save(Path(view.name).with_suffix(""), drawn)
-        print(f"{len(views)} views in {self.out}")
+        files = files_of(views, self.out)
+        with claimed(self.out):
+            for view, paths in zip(track(views, description="rendering"), files, strict=True):
+                drawn = sx.render(
+                    model.gaussians,
+                    view.camera,
+                    background=np.array(background, np.float32),
+                    low_pass=model.low_pass,
+                    backend=backend,
+                )
+                _save(paths, drawn)
+        say(f"{len(views)} views in {self.out}")
 
     def _film(self) -> Film | None:
         """The film that the options describe; None if they ask for pictures.
@@ -127,13 +134,42 @@ class Render:
         if taken.exists() and not self.overwrite:
             raise InputError(f"{taken}: exists. Choose another --out, or replace it: --overwrite.")
 
-    def save(self, name: Path, drawn: sx.Rendering) -> None:
-        """Writes the files of one view."""
-        picture, depth = self.out / "rgb" / f"{name}.png", self.out / "depth" / f"{name}.npy"
-        for path in (picture, depth):
-            path.parent.mkdir(parents=True, exist_ok=True)
-        write(picture, to_8bit(np.asarray(drawn.rgb)))
-        write(
-            depth.with_name(f"{depth.stem}.png"), depth_map(np.asarray(drawn.depth), np.asarray(drawn.alpha))
-        )
-        np.save(depth, np.asarray(drawn.depth))
+
+class Files(NamedTuple):
+    """Paths of the files that show one view."""
+
+    color: Path
+    depth: Path  # numbers
+    depth_map: Path  # the same to look at
+
+
+def files_of(views: Sequence[sx.View], out: Path) -> "list[Files]":
+    """Returns where the files of each view go: under its name, without the suffix of its photo.
+
+    Photos that differ by their suffix alone keep it, so that no picture replaces another.
+
+    Raises:
+        InputError: if a view's name leads out of the output folder.
+    """
+    colors = [path_inside(out / "rgb", view.name) for view in views]
+    depths = [path_inside(out / "depth", view.name) for view in views]
+    count = Counter(color.with_suffix("") for color in colors)
+
+    def renamed(path: Path, suffix: str, color: Path) -> Path:
+        single = count[color.with_suffix("")] == 1
+        return path.with_suffix(suffix) if single else path.with_name(path.name + suffix)
+
+    return [
+        Files(renamed(color, ".png", color), renamed(depth, ".npy", color), renamed(depth, ".png", color))
+        for color, depth in zip(colors, depths, strict=True)
+    ]
+
+
+def _save(paths: Files, drawn: sx.Rendering) -> None:
+    for path in paths:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    depth = np.asarray(drawn.depth)
+    write(paths.color, to_8bit(np.asarray(drawn.rgb)))
+    write(paths.depth_map, depth_map(depth, np.asarray(drawn.alpha)))
+    with replacing(paths.depth) as file:
+        np.lib.format.write_array(file, depth, allow_pickle=False)

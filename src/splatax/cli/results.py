@@ -4,15 +4,22 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 import splatax as sx
+from splatax.cli.checkpoints import files
 from splatax.cli.display import duration
+from splatax.cli.failures import sentence
+from splatax.cli.output import complain, say
 from splatax.cli.platform import device, peak_memory, versions
 from splatax.dataset import mask_of
+from splatax.errors import InputError
 from splatax.evaluation import PROTOCOL, Scores, ViewScore, photo_of, picture, score
 from splatax.io import formats
 from splatax.io.datasets import colmap_writing
@@ -22,6 +29,7 @@ from splatax.report.history import Evaluation, History
 from splatax.report.page import Comparison, report
 from splatax.report.pictures import animation
 from splatax.training.camera_refinement import FixedCameras, refined
+from splatax.training.loop import RunState
 
 
 @dataclass(frozen=True)
@@ -32,9 +40,14 @@ class Run:
     dataset: sx.Dataset
     recipe: sx.Recipe
     history: History
-    gaussians: sx.Gaussians
+    last: RunState
     config: Mapping[str, Any]  # the options that it was started with
     out: Path
+
+    @cached_property
+    def gaussians(self) -> sx.Gaussians:
+        """The scene, without empty slots."""
+        return jax.tree.map(lambda leaf: jnp.array(leaf[: self.last.count]), self.last.train.gaussians)
 
     def write(self) -> Scores | None:
         """Writes all files, the scene first. Returns the scores of the test views, if there are any."""
@@ -115,30 +128,49 @@ class Run:
             "device": device(),
         }
 
-
-def keep_cameras(out: Path, dataset: sx.Dataset, recipe: sx.Recipe, last: sx.Progress) -> None:
-    """Writes the cameras as a COLMAP model if they were refined, those of held-out photos as given."""
-    if isinstance(recipe.camera_refinement, FixedCameras):
-        return
-    state = last.state.train
-    found = refined(recipe.camera_refinement, state.cameras, dataset.train, state.extent)
-    colmap_writing.save(out / "refined", (*found, *dataset.test), dataset.points)
-    print(f"cameras {out / 'refined' / colmap_writing.PLACE}")
+    def keep_cameras(self) -> None:
+        """Writes the cameras as a COLMAP model if they were refined, those of held-out photos as given."""
+        if isinstance(self.recipe.camera_refinement, FixedCameras):
+            return
+        state = self.last.train
+        found = refined(self.recipe.camera_refinement, state.cameras, self.dataset.train, state.extent)
+        colmap_writing.save(self.out / "refined", (*found, *self.dataset.test), self.dataset.points)
+        say(f"cameras {self.out / 'refined' / colmap_writing.PLACE}")
 
 
 def conclude(run: Run) -> None:
-    """Writes the results and says where they are."""
-    scores = run.write()
+    """Writes the results and says where they are.
+
+    Whatever keeps it from its end, the run can be concluded again from its last checkpoint.
+
+    Raises:
+        InputError: if a photo cannot be read, or a file cannot be written.
+    """
+    try:
+        run.keep_cameras()
+        scores = run.write()
+    except KeyboardInterrupt:
+        complain(f"stopped while the results were written. Write them: splatax train --resume {run.out}")
+        raise
+    except (OSError, InputError) as error:
+        why = sentence(error) if isinstance(error, OSError) else str(error)
+        if not files(run.out):
+            raise InputError(why) from error
+        raise InputError(
+            f"{why} Training is saved. Once that is mended, write the results: splatax train --resume "
+            f"{run.out}"
+        ) from error
     if run.history.bad_steps or run.history.broken:
-        print(
+        say(
             f"{run.history.bad_steps:,} steps had no finite loss and changed nothing; {run.history.broken:,} "
             "Gaussians that were not finite were removed"
         )
     if scores:
-        print(
+        say(
             f"test PSNR {scores.psnr:.2f} dB, SSIM {scores.ssim:.4f} over {len(scores.views)} held-out photos"
         )
-    print(f"scene   {run.out / 'scene.ply'}\nreport  {run.out / 'report.html'}")
+    say(f"scene   {run.out / 'scene.ply'}")
+    say(f"report  {run.out / 'report.html'}")
 
 
 def protocol(background: tuple[float, float, float]) -> dict[str, str]:

@@ -6,15 +6,21 @@ from pathlib import Path
 from typing import Any
 
 import splatax as sx
-from splatax.cli.checkpoints import FOLDER, files
+from splatax.cli.checkpoints import FOLDER, files, unpacked
+from splatax.cli.output import say
 from splatax.cli.platform import device, versions
 from splatax.cli.results import as_json
 from splatax.errors import FormatError, InputError
+from splatax.report.history import History
+from splatax.runs.records import understood
 from splatax.training import checkpoint
 from splatax.training.checkpoint import Checkpoint
 from splatax.training.loop import RunState
 
 DECISIVE = ("splatax", "jax", "jaxlib", "numpy", "optax")  # packages whose version decides what a step does
+
+FACTS = {"options": dict, "recipe": dict, "capture": dict, "versions": dict, "device": str}
+OTHER = "Go on from another one in its folder, or start the run again."
 
 
 @dataclass(frozen=True)
@@ -24,6 +30,8 @@ class Earlier:
     path: Path
     run: Path
     checkpoint: Checkpoint
+    history: History  # of the run until then
+    facts: Mapping[str, Any]  # that the run was made of; see `facts`
 
     @property
     def options(self) -> dict[str, Any]:
@@ -33,7 +41,7 @@ class Earlier:
             InputError: if it was by another version.
         """
         self._require("versions", {name: versions()[name] for name in DECISIVE})
-        return self._facts["options"]
+        return self.facts["options"]
 
     def state(self, recipe: sx.Recipe, dataset: sx.Dataset) -> RunState:
         """The run on the device. Says so where it cannot go on bit for bit.
@@ -44,22 +52,19 @@ class Earlier:
         now = facts({}, recipe, dataset)
         for subject in ("recipe", "capture"):
             self._require(subject, now[subject])
-        if self._facts["device"] != now["device"]:
-            print(
-                f"the run was started on {self._facts['device']}, this is {now['device']}: "
+        if self.facts["device"] != now["device"]:
+            say(
+                f"the run was started on {self.facts['device']}, this is {now['device']}: "
                 "what comes out is as good, but not the same bit for bit"
             )
-        try:
-            return checkpoint.restore(self.checkpoint, recipe)
-        except FormatError as error:
-            raise FormatError(f"{self.path}: {error}.") from error
-
-    @property
-    def _facts(self) -> dict[str, Any]:
-        return self.checkpoint.header["run"]
+        with understood(self.path, OTHER):
+            try:
+                return checkpoint.restore(self.checkpoint, recipe)
+            except FormatError as error:
+                raise FormatError(f"{self.path}: {error}.") from error
 
     def _require(self, subject: str, now: Mapping[str, Any]) -> None:
-        changes = "; ".join(differences(self._facts[subject], now))
+        changes = "; ".join(differences(self.facts[subject], now))
         if changes:
             raise InputError(
                 f"{self.path}: cannot go on, because the {subject} of the run changed: {changes}. Put it "
@@ -93,11 +98,14 @@ def find(path: Path) -> Earlier:
     else:
         raise InputError(f"{path}: no such run. Give the folder of a run that was stopped.")
     try:
-        return Earlier(chosen, run, checkpoint.read(chosen))
+        saved = checkpoint.read(chosen)
+        with understood(chosen, ""):
+            known = {name: kind(saved.header["run"][name]) for name, kind in FACTS.items()}
+            return Earlier(chosen, run, saved, unpacked(saved), known)
     except FormatError as error:
         older = [file for file in files(run) if file.name < chosen.name]
         way_out = f"Go on from the one before: --resume {older[-1]}" if older else "Start the run again"
-        raise FormatError(f"{error} {way_out}.") from error
+        raise FormatError(f"{str(error).rstrip()} {way_out}.") from error
 
 
 def newest(run: Path) -> Path:
@@ -109,8 +117,13 @@ def newest(run: Path) -> Path:
     found = files(run)
     if found:
         return found[-1]
+    if (run / "report.html").exists():
+        raise InputError(f"{run}: this run has already finished; nothing to resume.")
     if (run / "scene.ply").exists():
-        raise InputError(f"{run}: the run is finished, there is nothing to go on with.")
+        raise InputError(
+            f"{run}: holds a scene, but neither its report nor a checkpoint to write it from. Measure the "
+            f"scene: splatax eval {run} CAPTURE, or train again: --overwrite."
+        )
     raise InputError(f"{run}: no checkpoint. If a run was stopped here before its first, start it again.")
 
 

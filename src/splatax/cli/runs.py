@@ -1,16 +1,28 @@
 """Finished runs, read back from their folders."""
 
-import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from splatax.errors import InputError
+from splatax.runs.records import read_record, typed, understood
+from splatax.training.backgrounds import BACKGROUNDS
 
-OPTIONS = {"scene", "recipe", "background"}
-METRICS = {"test", "gaussians", "train_seconds", "steps", "peak_rss_bytes", "evaluations", "protocol"}
+AGAIN = "Train this run again, or leave it out."
+OPTIONS = {"scene": str, "recipe": str, "background": Literal[*BACKGROUNDS, None]}
+SIZE = Literal["auto"] | int  # of the option downscale
+METRICS = {
+    "test": dict | None,
+    "gaussians": int,
+    "train_seconds": float,
+    "steps": int,
+    "peak_rss_bytes": int | None,
+    "evaluations": list,
+    "protocol": dict,
+}
+NUMBER = float | None  # null where it is infinite
 PROTOCOL = {"images", "psnr", "ssim", "corrected_psnr", "number of masks"}  # what makes numbers comparable
 
 
@@ -40,6 +52,21 @@ class FinishedRun:
         """How it was measured."""
         return self.metrics["protocol"] | {"number of masks": self.metrics.get("masked_test_views", 0)}
 
+    def check(self) -> None:
+        """Raises TypeError or KeyError if a measure is missing or no number."""
+        test = self.metrics["test"]
+        if test is None:
+            test = {"psnr": None, "ssim": None, "views": []}
+        for measures in (test, *self.metrics["evaluations"], *test["views"]):
+            typed(measures["psnr"], NUMBER, "psnr")
+        for view in test["views"]:
+            typed(view["name"], str, "name")
+        for evaluation in self.metrics["evaluations"]:
+            typed(evaluation["seconds"], float, "seconds")
+        typed(test["ssim"], NUMBER, "ssim")
+        typed(test.get("corrected_psnr"), NUMBER, "corrected_psnr")
+        typed(self.metrics.get("masked_test_views", 0), int, "masked_test_views")
+
     @property
     def test_psnr(self) -> dict[str, float]:
         """Of each test view, dB."""
@@ -65,6 +92,8 @@ def read_runs(folders: Sequence[Path]) -> list[FinishedRun]:
         name = folder.resolve().name if unique else str(folder)
         options = part_of(folder / "config.json", OPTIONS, within="options")
         runs.append(FinishedRun(name, folder, options, part_of(folder / "metrics.json", METRICS)))
+        with understood(folder / "metrics.json", AGAIN):
+            runs[-1].check()
         if not runs[-1].metrics.get("test"):
             raise InputError(
                 f"{folder}: a run without test photos has nothing to be compared by. Leave it out."
@@ -83,34 +112,71 @@ def finished(run: Path, names: set[str]) -> tuple[dict[str, Any], list[tuple[int
         InputError: if there is none, or it was made with other options.
     """
     path = run / "config.json" if run.is_dir() else run
-    options = part_of(path, set(), within="options")
+    options = part_of(path, {}, within="options")
     if options.keys() != names:
         other = ", ".join(sorted(options.keys() ^ names))
         raise InputError(f"{path}: of a splatax with other options ({other}). Repeat the run with that one.")
-    return options, [(step, total) for step, total in part_of(path, {"changes"})["changes"]]
+    made = part_of(path, {"changes": list})["changes"]
+    with understood(path, AGAIN):
+        return options, [(typed(step, int, "a step"), typed(total, int, "a total")) for step, total in made]
 
 
-def part_of(path: Path, needed: set[str], within: str | None = None) -> dict[str, Any]:
-    """An object of a JSON file, or the one that it has under a name.
+def options_beside(model: Path) -> dict[str, Any]:
+    """Returns the options of the run that made a splat file, from the config.json beside it.
+
+    Empty if there is none, or it is that of another program.
 
     Raises:
-        InputError: if the file or anything of what is needed is missing.
+        InputError: if the file is damaged.
+    """
+    path = model.parent / "config.json"
+    if not path.is_file():
+        return {}
+    way_out = "Put it back as it was; or remove it, and say how the scene was trained where that matters."
+    contents = read_record(path, way_out)
+    if "options" not in contents or "recipe" not in contents:
+        return {}
+    with understood(path, way_out):
+        return check_options(contents["options"])
+
+
+def check_options(options: dict[str, Any]) -> dict[str, Any]:
+    """Returns the options of a run if those that other commands use make sense.
+
+    Raises:
+        TypeError: or another error, if they do not.
+    """
+    for name, kind in OPTIONS.items():
+        typed(options[name], kind, name)
+    if (divisor := typed(options.get("downscale", "auto"), SIZE, "downscale")) != "auto" and divisor < 1:
+        raise TypeError(f"downscale is {divisor}")
+    return options
+
+
+def part_of(path: Path, needed: Mapping[str, Any], within: str | None = None) -> dict[str, Any]:
+    """Returns the object of a JSON file, or the one that it has under a name.
+
+    Args:
+        path: of the file.
+        needed: types of the values that it must have, by name.
+        within: name of the object in that of the file.
+
+    Raises:
+        InputError: if the file or anything of what is needed is missing or damaged.
     """
     try:
-        contents = json.loads(path.read_text())
-        contents = contents[within] if within else contents
-        missing = needed - contents.keys()
+        contents = read_record(path, AGAIN)
     except (FileNotFoundError, NotADirectoryError):
         raise InputError(
             f"{path.parent}: no {path.name} in it. Give folders that `splatax train` has written to the end."
         ) from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}). Make it readable.") from error
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"{path}: damaged ({error}). Train this run again, or leave it out.") from error
-    if missing:
-        raise InputError(f"{path}: no {min(missing)!r} in it. Train this run again, or leave it out.")
-    return contents
+    with understood(path, AGAIN):
+        part = contents[within] if within else contents
+        for name, kind in needed.items():
+            typed(part[name], kind, name)
+        return check_options(part) if within == "options" and needed else dict(part)
 
 
 def check_comparable(runs: Sequence[FinishedRun], *, scene_given: bool) -> None:

@@ -10,44 +10,43 @@ from pathlib import Path
 
 import splatax as sx
 from splatax.budget import Changes
-from splatax.cli.checkpoints import FOLDER, Checkpoints, files
+from splatax.cli.checkpoints import Checkpoints, files
 from splatax.cli.display import Display
+from splatax.cli.failures import sentence
 from splatax.cli.interruption import Interruption
+from splatax.cli.output import complain
 from splatax.cli.view import Audience
 from splatax.errors import InputError
 from splatax.evaluation import picture
-from splatax.io.files import write_whole
 from splatax.report.history import Evaluation, History
 from splatax.report.pictures import shrunk
+from splatax.runs.claim import claimed
 from splatax.training.loop import RunState
 
 FRAMES = 20  # of the animation, close together at first, when most happens
 
 
-def claim(out: Path, overwrite: bool) -> None:
-    """Makes the folder of a run, before any work is done for it.
+@contextmanager
+def claim(out: Path, overwrite: bool) -> Iterator[None]:
+    """Holds the folder of a run for this process, and makes it if need be, before any work is done for it.
 
     Raises:
-        InputError: if it holds results that must not be replaced, or cannot be written to.
+        InputError: if it holds results that must not be replaced, another process writes to it, or it cannot
+            be written to.
     """
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: a file, not a folder. Choose another --out.")
-    if files(out) and not overwrite:
-        raise InputError(
-            f"{out}: holds a run that was stopped. Go on with it: splatax train --resume {out}, choose "
-            "another --out, or replace it: --overwrite."
-        )
-    if (out / "scene.ply").exists() and not overwrite:
-        raise InputError(
-            f"{out}: holds the results of a run. Choose another --out, or replace it: --overwrite."
-        )
-    try:
-        for folder in (out, out / FOLDER) if files(out) else (out,):
-            folder.mkdir(parents=True, exist_ok=True)
-            write_whole(folder / ".writable", b"")
-            (folder / ".writable").unlink()
-    except OSError as error:
-        raise InputError(f"{out}: cannot be written to ({error.strerror}). Choose another --out.") from error
+    with claimed(out):
+        if files(out) and not overwrite:
+            raise InputError(
+                f"{out}: holds a run that was stopped. Go on with it: splatax train --resume {out}, choose "
+                "another --out, or replace it: --overwrite."
+            )
+        if (out / "scene.ply").exists() and not overwrite:
+            raise InputError(
+                f"{out}: holds the results of a run. Choose another --out, or replace it: --overwrite."
+            )
+        yield
 
 
 class Stopwatch:
@@ -100,12 +99,21 @@ class Session:
     photo_room: int | float = math.inf
     interruption: Interruption = field(default_factory=Interruption)
 
-    def train(self, start: RunState | None = None) -> sx.Progress:
-        """Trains, and returns the end. Ctrl-C ends it after the step at hand, with what has been reached.
+    def train(self, start: RunState | None = None) -> RunState:
+        """Trains, saves the last state, and returns it.
+
+        Ctrl-C ends training after the step at hand, with what has been reached. A run whose steps are all
+        made already is returned as it is.
 
         Args:
             start: the run to go on with.
         """
+        state = start if start and all_made(start) else self._steps(start)
+        faults = state.train.faults
+        self.history.bad_steps, self.history.broken = int(faults.steps), int(faults.gaussians)
+        return state
+
+    def _steps(self, start: RunState | None) -> RunState:
         history = self.history
         with Display(self.recipe.steps) as display, self.interruption:
             display.announce("compiling the first step")
@@ -126,8 +134,20 @@ class Session:
                     break
             progress.loss.block_until_ready()
             history.train_seconds = watch.seconds
-            history.bad_steps, history.broken = (int(number) for number in progress.faults)
-        return progress
+        if not history.interrupted:
+            self._keep(progress.state)
+        return progress.state
+
+    def _keep(self, state: RunState) -> None:
+        """Saves the end of training, so that nothing which happens to the results can lose it."""
+        try:
+            self.checkpoints.save(state, self.history)
+            self.checkpoints.wait()
+        except (InputError, MemoryError) as error:
+            # Try on: a disk that is full may still have room for the scene, which is smaller.
+            cause = error.__cause__
+            why = sentence(cause) if isinstance(cause, OSError) else str(error)
+            complain(f"the end of training cannot be saved before its results are written: {why}")
 
     def wanted(self, progress: sx.Progress) -> Iterator[Callable[[sx.Progress], None]]:
         """What is to be done after a step, once it has ended."""
@@ -179,6 +199,11 @@ class Session:
         """The scene, to those who look on."""
         assert self.audience
         self.audience.show(progress, self.history, lambda: self.interruption.requested)
+
+
+def all_made(state: RunState) -> bool:
+    """Returns whether no step is left to do, so that only the results of the run may be missing."""
+    return int(state.train.step) >= int(state.train.total)
 
 
 @cache

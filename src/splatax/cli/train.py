@@ -10,7 +10,7 @@ import tyro
 
 import splatax as sx
 from splatax.budget import Changes, Clock
-from splatax.cli.checkpoints import Checkpoints, unpacked
+from splatax.cli.checkpoints import Checkpoints
 from splatax.cli.options import (
     AppearanceName,
     BackendName,
@@ -21,15 +21,17 @@ from splatax.cli.options import (
     load_scene,
     resolve_backend,
 )
+from splatax.cli.output import say
 from splatax.cli.planning import Room, parse_budget, parse_bytes, room_within, shrunk, within
-from splatax.cli.results import Run, conclude, keep_cameras
-from splatax.cli.resume import Earlier, facts, find
+from splatax.cli.results import Run, conclude
+from splatax.cli.resume import OTHER, Earlier, facts, find
 from splatax.cli.runs import finished
-from splatax.cli.session import Session, claim
+from splatax.cli.session import Session, all_made, claim
 from splatax.cli.view import audience
 from splatax.errors import InputError
 from splatax.projection import LOW_PASSES
 from splatax.report.history import History
+from splatax.runs.records import typed_fields, understood
 from splatax.training.appearance import APPEARANCES
 from splatax.training.backgrounds import BACKGROUNDS
 from splatax.training.camera_refinement import CAMERA_REFINEMENTS
@@ -38,7 +40,6 @@ from splatax.training.recipes import PRESETS
 from splatax.viewer.server import LOCAL, PORT
 
 WATCHING = {"view", "host", "port"}
-# What may change in a run.
 FREE = {"scene", "title", "resume", "repeat", "checkpoint_every", "checkpoint_steps"} | WATCHING
 NOT_REPEATED = {"out": None, "overwrite": False, "budget": None}  # a plan is repeated as it was made
 
@@ -122,7 +123,8 @@ class Train:
             self.go_on(find(self.resume))
         elif self.repeat is not None:
             stored, made = finished(self.repeat, {field.name for field in fields(self)})
-            again = self.as_started(stored | NOT_REPEATED, FREE | NOT_REPEATED.keys())
+            with understood(self.repeat, "Repeat another run."):
+                again = self.as_started(stored | NOT_REPEATED, FREE | NOT_REPEATED.keys())
             again.start(History(changes=made), Changes(made))
         else:
             self.refuse_what_a_budget_decides()
@@ -131,8 +133,9 @@ class Train:
 
     def go_on(self, earlier: Earlier) -> None:
         """Goes on with a run."""
-        options, history = self.as_started(earlier.options), unpacked(earlier.checkpoint)
-        options.start(history, options.pace(history), earlier)
+        with understood(earlier.path, OTHER):
+            options = self.as_started(earlier.options)
+        options.start(earlier.history, options.pace(earlier.history), earlier)
 
     def pace(self, history: History) -> Changes:
         """What may change the number of steps while the run goes on."""
@@ -147,9 +150,7 @@ class Train:
         Raises:
             InputError: if others are given.
         """
-        stored = dict(options)
-        for path in ("scene", "out"):
-            stored[path] = stored[path] and Path(stored[path])
+        stored = typed_fields(Train, options)
         for field in fields(self):
             value = getattr(self, field.name)
             if value in (field.default, stored[field.name]):
@@ -175,35 +176,35 @@ class Train:
         scene = self.scene.absolute()  # a run may go on from another folder
         dataset = self.capture()
         out = earlier.run if earlier else self.out or Path("runs") / scene.resolve().name
-        claim(out, self.overwrite or earlier is not None)
-        settled = replace(self, scene=scene, background=self.background or dataset.background)
-        room = room_within(self.memory, dataset, self.initialization().number(dataset))
-        if earlier is None:
-            settled, dataset = settled.planned(dataset, room)
-        recipe = settled.to_recipe(dataset)
-        checkpoints = Checkpoints(
-            out,
-            facts(asdict(settled), recipe, dataset),
-            seconds=self.checkpoint_every,
-            steps=self.checkpoint_steps,
-            earlier=earlier.path if earlier else None,
-        )
-        state = earlier.state(recipe, dataset) if earlier else None
-        if state:
-            print(f"going on after step {history.steps:,} of {int(state.train.total):,}")
-        watched = audience(dataset, recipe, self.host, self.port) if self.view else nullcontext()
-        with checkpoints, watched as watchers:
-            session = Session(
-                dataset, recipe, checkpoints, history, changes, self.eval_every, watchers, room.photos
+        with claim(out, self.overwrite or earlier is not None):
+            settled = replace(self, scene=scene, background=self.background or dataset.background)
+            room = room_within(self.memory, dataset, self.initialization().number(dataset))
+            if earlier is None:
+                settled, dataset = settled.planned(dataset, room)
+            recipe = settled.to_recipe(dataset)
+            checkpoints = Checkpoints(
+                out,
+                facts(asdict(settled), recipe, dataset),
+                seconds=self.checkpoint_every,
+                steps=self.checkpoint_steps,
+                earlier=earlier.path if earlier else None,
             )
-            last = session.train(state)
-            title, options = self.title or scene.resolve().name, asdict(settled)
-            conclude(Run(title, dataset, recipe, history, last.gaussians, options, out))
-            keep_cameras(out, dataset, recipe, last)
-        if history.interrupted:
-            print(f"stopped at step {history.steps:,}. Go on: splatax train --resume {out}")
-        else:
-            checkpoints.discard()
+            state = earlier.state(recipe, dataset) if earlier else None
+            if state:
+                then = "writing the results" if all_made(state) else "going on"
+                say(f"{then} after step {history.steps:,} of {int(state.train.total):,}")
+            watched = audience(dataset, recipe, self.host, self.port) if self.view else nullcontext()
+            with checkpoints, watched as watchers:
+                session = Session(
+                    dataset, recipe, checkpoints, history, changes, self.eval_every, watchers, room.photos
+                )
+                last = session.train(state)
+                title = self.title or scene.resolve().name
+                conclude(Run(title, dataset, recipe, history, last, asdict(settled), out))
+            if history.interrupted:
+                say(f"stopped at step {history.steps:,}. Go on: splatax train --resume {out}")
+            else:
+                checkpoints.discard()
 
     def capture(self) -> sx.Dataset:
         """What to train on. Says what there is to say of it.
@@ -215,7 +216,7 @@ class Train:
         self.refuse_what_is_out_of_range()
         dataset = load_scene(self.scene, self.downscale)
         for note in dataset.notes:
-            print(note)
+            say(note)
         if self.init == "sfm" and not len(dataset.points):
             raise InputError(
                 f"{self.scene}: the capture has no points to start from. Start at random: --init random."
@@ -245,7 +246,7 @@ class Train:
         if smaller is None:
             return settled, dataset
         downscale, dataset = smaller
-        print(f"too few steps for photos of this size: --downscale {downscale}")
+        say(f"too few steps for photos of this size: --downscale {downscale}")
         return replace(self, downscale=downscale).planned(dataset, room)
 
     def most(self, dataset: sx.Dataset) -> int:

@@ -22,6 +22,7 @@ from splatax.cli.options import (
     resolve_backend,
     scene_of,
 )
+from splatax.cli.output import complain, say
 from splatax.report.history import History
 from splatax.viewer.pictures import Look
 from splatax.viewer.server import LOCAL, PORT, WINDOW, Viewer
@@ -70,8 +71,8 @@ class View:
 def announce(viewer: Viewer, host: str) -> None:
     """Says where to look, and who can."""
     if host not in LOCAL:
-        print(f"warning: --host {host}: all who can reach this machine can look, and use the controls")
-    print(f"viewer  {viewer.address}", flush=True)
+        complain(f"warning: --host {host}: all who can reach this machine can look, and use the controls")
+    say(f"viewer  {viewer.address}")
 
 
 class Audience:

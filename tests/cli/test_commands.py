@@ -14,7 +14,7 @@ from test_refusals import refused
 import splatax as sx
 from splatax import backends, cli, lpips
 from splatax.cli import render
-from splatax.cli.train import Train
+from splatax.cli.settings import Settings
 from splatax.training.backgrounds import Solid
 from splatax.training.initialize import InFrusta
 from splatax.training.recipes import PRESETS, room_for
@@ -56,14 +56,14 @@ def test_config_holds_all_that_repeats_a_run(trained, capture):
 
 def test_options_decide_over_the_recipe_and_nothing_else_does(capture):
     dataset = sx.load_dataset(capture)
-    plain = Train(capture).to_recipe(dataset)
+    plain = Settings(capture).to_recipe(dataset)
     assert plain == replace(PRESETS["default"].build(30_000, room_for(dataset)), backend=plain.backend)
-    chosen = Train(capture, recipe="mcmc", max_gaussians=70, init="random", background="white")
+    chosen = Settings(capture, recipe="mcmc", max_gaussians=70, init="random", background="white")
     recipe = chosen.to_recipe(dataset)
     assert recipe.density.max_gaussians == 70
     assert recipe.initialization == InFrusta(opacity=0.5, scale=0.1)
     assert recipe.background == Solid((1.0, 1.0, 1.0))
-    classic = Train(capture, recipe="classic").to_recipe(dataset)
+    classic = Settings(capture, recipe="classic").to_recipe(dataset)
     assert classic == replace(PRESETS["classic"].build(), backend=plain.backend)
 
 

@@ -8,8 +8,10 @@ import pytest
 from test_refusals import refused
 
 from splatax import cli
-from splatax.budget import Plan
-from splatax.cli import results, session, train
+from splatax.cli import train
+from splatax.report import training
+from splatax.runs import results, session
+from splatax.runs.budget import Plan
 from splatax.web import page
 
 STEPS = 6
@@ -47,17 +49,19 @@ def test_a_run_killed_while_its_results_are_written_is_concluded_without_trainin
 ):
     run = tmp_path / "run"
     with monkeypatch.context() as patch:
-        patch.setattr(results, moment, lambda *_: (_ for _ in ()).throw(PowerCut))
+        patch.setattr(
+            training if moment == "report" else results, moment, lambda *_: (_ for _ in ()).throw(PowerCut)
+        )
         with pytest.raises(PowerCut):
             start(capture, run, "--eval-every", "3", "--checkpoint-every", "0")
     assert not (run / "report.html").exists()
-    monkeypatch.setattr(session.sx, "optimize", no_training)
+    monkeypatch.setattr(session, "optimize", no_training)
     cli.main(["train", "--resume", str(run)])
     same_results(run, trained)
 
 
 def test_ctrl_c_while_results_are_written_says_how_to_write_them(capture, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(results, "report", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    monkeypatch.setattr(training, "report", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(SystemExit) as exit:
         start(capture, tmp_path)
     assert exit.value.code == 130
@@ -84,9 +88,9 @@ def test_a_full_disk_after_the_last_step_loses_nothing(name, trained, capture, t
     error = refused(capsys, "train", capture, "--out", run, "--steps", STEPS, "--eval-every", 3)
     assert f"{run / name}: no space is left (the disk at /" in error
     assert "bytes free)" in error
-    assert f"splatax train --resume {run}" in error
+    assert f"See --resume {run}." in error
     free()
-    monkeypatch.setattr(session.sx, "optimize", no_training)
+    monkeypatch.setattr(session, "optimize", no_training)
     cli.main(["train", "--resume", str(run)])
     same_results(run, trained)
 
@@ -111,10 +115,10 @@ def test_create_concludes_a_run_that_was_killed_while_its_results_were_written(
     monkeypatch.setattr(train, "within", lambda *_: Plan(STEPS, 40))
     command = ["create", str(capture), "--out", str(tmp_path / "out"), "--budget", "60s"]
     with monkeypatch.context() as patch:
-        patch.setattr(results, "report", lambda *_: (_ for _ in ()).throw(PowerCut))
+        patch.setattr(training, "report", lambda *_: (_ for _ in ()).throw(PowerCut))
         with pytest.raises(PowerCut):
             cli.main(command)
-    monkeypatch.setattr(session.sx, "optimize", no_training)
+    monkeypatch.setattr(session, "optimize", no_training)
     cli.main(command)
     assert (tmp_path / "out" / "run" / "report.html").exists()
     assert (tmp_path / "out" / "scene.html").exists()

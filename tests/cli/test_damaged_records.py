@@ -8,12 +8,11 @@ from test_refusals import refused
 
 import splatax as sx
 from shortened import shortened
-from splatax.cli import checkpoints as module
-from splatax.cli.checkpoints import Checkpoints, files
 from splatax.cli.options import read_model
-from splatax.cli.resume import facts, find
 from splatax.errors import FormatError
-from splatax.report.history import History
+from splatax.runs.checkpoints import Checkpoints, files
+from splatax.runs.history import History, packed
+from splatax.runs.resume import facts, find
 from splatax.training import checkpoint
 from splatax.training.checkpoint import Checkpoint
 from splatax.web import page
@@ -134,7 +133,7 @@ def saved():
     """A checkpoint of a run after its first step."""
     dataset, recipe = made(), shortened("classic")
     state = next(sx.optimize(dataset, recipe)).state
-    header, arrays = module.packed(History(losses=[0.5], counts=[state.count]))
+    header, arrays = packed(History(losses=[0.5], counts=[state.count]))
     return checkpoint.take(state, {"run": facts({"scene": "x"}, recipe, dataset), **header}, arrays)
 
 

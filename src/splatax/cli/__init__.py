@@ -1,9 +1,11 @@
 """The command line: the library's first user."""
 
+import functools
+import operator
 import sys
 import warnings
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -14,7 +16,7 @@ from splatax.cli.demo import Demo
 from splatax.cli.doctor import Doctor
 from splatax.cli.evaluate import Evaluate
 from splatax.cli.export import Export
-from splatax.cli.failures import advice, sentence
+from splatax.cli.failures import advice
 from splatax.cli.inspect import Inspect
 from splatax.cli.interruption import STOPPED
 from splatax.cli.output import complain, guarded
@@ -25,35 +27,55 @@ from splatax.cli.render import Render
 from splatax.cli.train import Train
 from splatax.cli.view import View
 from splatax.errors import InputError
+from splatax.io.files import explained
 
-Command = (
-    Annotated[Create, tyro.conf.subcommand("create")]
-    | Annotated[Reconstruct, tyro.conf.subcommand("reconstruct")]
-    | Annotated[Inspect, tyro.conf.subcommand("inspect")]
-    | Annotated[Train, tyro.conf.subcommand("train")]
-    | Annotated[Evaluate, tyro.conf.subcommand("eval")]
-    | Annotated[Render, tyro.conf.subcommand("render")]
-    | Annotated[View, tyro.conf.subcommand("view")]
-    | Annotated[Compare, tyro.conf.subcommand("compare")]
-    | Annotated[Export, tyro.conf.subcommand("export")]
-    | Annotated[Page, tyro.conf.subcommand("page")]
-    | Annotated[Demo, tyro.conf.subcommand("demo")]
-    | Annotated[Bench, tyro.conf.subcommand("bench")]
-    | Annotated[Doctor, tyro.conf.subcommand("doctor")]
-)
+COMMANDS = {
+    "create": Create,
+    "reconstruct": Reconstruct,
+    "inspect": Inspect,
+    "train": Train,
+    "eval": Evaluate,
+    "render": Render,
+    "view": View,
+    "compare": Compare,
+    "export": Export,
+    "page": Page,
+    "demo": Demo,
+    "bench": Bench,
+    "doctor": Doctor,
+}
 REFUSED = 2  # exit code
 DESCRIPTION = "3D Gaussian Splatting in JAX: from photos to a scene, on CPU, GPU and TPU."
+
+
+def choices(brief: bool) -> Any:
+    """Returns the type of all commands.
+
+    Args:
+        brief: describe each with the first sentence of its help, for the list of commands.
+    """
+    described = (
+        Annotated[
+            command,
+            tyro.conf.subcommand(
+                name, description=(command.__doc__ or "").splitlines()[0] if brief else None
+            ),
+        ]
+        for name, command in COMMANDS.items()
+    )
+    return functools.reduce(operator.or_, described)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Runs a command. Bad input ends in one sentence on standard error and exit code 2."""
     with guarded():
+        given = sys.argv[1:] if arguments is None else list(arguments)
         command = tyro.cli(
-            Command,
-            args=arguments,
+            choices(brief=not COMMANDS.keys() & set(given)),
+            args=given,
             prog="splatax",
             description=DESCRIPTION,
-            config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
+            config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes, tyro.conf.DisallowNone),
         )
         warnings.showwarning = lambda message, *_: complain(f"warning: {message}")  # without lines of code
         keep_compiled_programs()
@@ -64,7 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             complain(advice(error, command))
             sys.exit(REFUSED)
         except OSError as error:
-            complain(sentence(error))
+            complain(explained(error))
             sys.exit(REFUSED)
         except KeyboardInterrupt:
             sys.exit(STOPPED)

@@ -20,10 +20,10 @@ from splatax.bench.scenes import Scene, framed, procedural
 from splatax.bench.timing import Timing, interleaved
 from splatax.cli.options import BackendName, parse_size, resolve_backend
 from splatax.cli.output import cell, say
-from splatax.cli.platform import device, peak_memory, versions
-from splatax.cli.results import write_json
 from splatax.errors import InputError
 from splatax.io.files import write_whole
+from splatax.runs.machine import device, peak_memory, versions
+from splatax.runs.records import write_json
 
 BIKER = {"biker": 1.0, "biker-close": 3.0}  # a trained scene of the project's test data, from two distances
 

@@ -11,16 +11,16 @@ from rich.progress import track
 from rich.table import Column, Table
 
 import splatax as sx
-from splatax.cli.display import duration
 from splatax.cli.options import BackendName, Model, background_of, load_scene, read_model, resolve_backend
 from splatax.cli.output import cell, say, show
-from splatax.cli.runs import FinishedRun, check_comparable, psnr_of, read_runs
 from splatax.dataset import mask_of
 from splatax.errors import InputError
 from splatax.evaluation import photo_of, picture
 from splatax.io.files import write_whole
 from splatax.report.side_by_side import Curve, Lineup, Row, side_by_side
+from splatax.runs.budget import duration
 from splatax.runs.claim import claimed
+from splatax.runs.finished import FinishedRun, check_comparable, psnr_of, read_runs
 
 UNKNOWN = "-"
 NOT_OF_THE_METHOD = {"scene", "out", "overwrite", "backend", "eval_every"}  # options that change no picture

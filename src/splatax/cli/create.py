@@ -6,19 +6,20 @@ from pathlib import Path
 import tyro
 
 from splatax import web
-from splatax.cli.checkpoints import files
 from splatax.cli.interruption import resumable
+from splatax.cli.options import parsed
 from splatax.cli.output import say
 from splatax.cli.page import Page
-from splatax.cli.planning import parse_budget
 from splatax.cli.reconstruct import Reconstruct
-from splatax.cli.results import write_json
 from splatax.cli.train import Train
+from splatax.cli.train_options import Limits, Rerun
 from splatax.errors import InputError
 from splatax.io.datasets import is_capture
 from splatax.reconstruction.work import refuse_overlap
+from splatax.runs.budget import parse_seconds
+from splatax.runs.checkpoints import files
 from splatax.runs.claim import claimed
-from splatax.runs.records import read_record, typed_fields, understood
+from splatax.runs.records import read_record, typed_fields, understood, write_json
 
 ORDER = "create.json"  # in OUT, once there is a capture: what the rest is made of
 
@@ -80,7 +81,7 @@ class Create:
             raise InputError(f"{self.photos}: no such folder or file.")
         if not is_capture(self.photos):
             refuse_overlap(self.photos, self.out / "capture")
-        parse_budget(self.budget)
+        parsed("budget", self.budget, parse_seconds)
         if self.out.exists() and not self.out.is_dir():
             raise InputError(f"{self.out}: a file, not a folder. Choose another --out.")
 
@@ -107,7 +108,7 @@ class Create:
 
     def order(self) -> "Order":
         """Returns what the scene is made of."""
-        return Order(str(self.photos.resolve()), parse_budget(self.budget))
+        return Order(str(self.photos.resolve()), parsed("budget", self.budget, parse_seconds))
 
     def reconstructed(self) -> Path:
         """The capture of the photos, made if it is not there yet."""
@@ -119,8 +120,10 @@ class Create:
     def train(self, capture: Path, run: Path) -> None:
         """Trains a scene, or goes on with it. The report is the last file that training writes."""
         if files(run) and not self.overwrite:
-            Train(resume=run).run()
+            Train(rerun=Rerun(resume=run)).run()
         elif (run / "report.html").exists() and not self.overwrite:
             say(f"trained already: {run / 'scene.ply'}")
         else:
-            Train(capture, out=run, title=self.named(), budget=self.budget, overwrite=True).run()
+            Train(
+                capture, out=run, title=self.named(), overwrite=True, limits=Limits(budget=self.budget)
+            ).run()

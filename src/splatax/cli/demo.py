@@ -6,11 +6,12 @@ from pathlib import Path
 from splatax import web
 from splatax.cli.output import say
 from splatax.cli.page import Page
-from splatax.cli.session import claim
 from splatax.cli.train import Train
+from splatax.cli.train_options import Limits, Method, Saving
 from splatax.demo.capture import write_capture
 from splatax.demo.dataset import PHOTOS, SIZE
 from splatax.errors import InputError
+from splatax.runs.claim import claimed_for_run
 
 TITLE = "splatax demo"
 
@@ -34,17 +35,17 @@ class Demo:
 
     def run(self) -> None:
         capture = self.out / "capture"
-        with claim(self.out, self.overwrite):
+        with claimed_for_run(self.out, self.overwrite):
             say(f"drawing {PHOTOS} photos of {SIZE[0]} x {SIZE[1]} pixels into {capture}")
             write_capture(capture)
         Train(
             capture,
             self.out,
             title=TITLE,
-            steps=self.steps,
-            seed=self.seed,
-            eval_every=max(self.steps // 8, 1),
             overwrite=True,
+            limits=Limits(steps=self.steps),
+            method=Method(seed=self.seed),
+            saving=Saving(eval_every=max(self.steps // 8, 1)),
         ).run()
         try:
             web.require_viewer()

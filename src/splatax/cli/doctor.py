@@ -14,7 +14,7 @@ from splatax import backends
 from splatax.backends.cpu import library
 from splatax.bench.scenes import procedural
 from splatax.cli.output import complain, say, show
-from splatax.cli.platform import device, versions
+from splatax.runs.machine import device, versions
 
 GAUSSIANS, SIZE = 500, (64, 48)  # of the self-test
 TOLERANCE = 1e-4  # of the largest value: float32 sums over pixels in another order

@@ -20,8 +20,9 @@ from splatax.cli.options import (
     resolve_backend,
 )
 from splatax.cli.output import cell, say, show
-from splatax.cli.results import measures_of, protocol, scores_as_json, write_json
 from splatax.errors import InputError
+from splatax.runs.records import write_json
+from splatax.runs.results import measures_of, protocol, scores_as_json
 
 LABELS = {"psnr": "PSNR, dB", "ssim": "SSIM", "corrected_psnr": "corrected, dB", "lpips": "LPIPS"}
 DECIMALS = {"psnr": 3, "ssim": 4, "corrected_psnr": 3, "lpips": 4}

@@ -10,7 +10,7 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from splatax.cli.display import PLAIN_SECONDS, duration
+from splatax.cli.display import PLAIN_SECONDS
 from splatax.cli.interruption import resumable
 from splatax.cli.output import say
 from splatax.errors import InputError
@@ -18,6 +18,7 @@ from splatax.reconstruction import Outcome, pipeline, reconstruct
 from splatax.reconstruction.mapping import Features
 from splatax.reconstruction.pairs import Exhaustive, Pairing, Sequential, Similar
 from splatax.reconstruction.work import clear
+from splatax.runs.budget import duration
 from splatax.runs.claim import claimed
 
 PAIRINGS: dict[str, Pairing | None] = {

@@ -23,7 +23,7 @@ from splatax.cli.options import (
     scene_of,
 )
 from splatax.cli.output import complain, say
-from splatax.report.history import History
+from splatax.runs.history import History
 from splatax.viewer.pictures import Look
 from splatax.viewer.server import LOCAL, PORT, WINDOW, Viewer
 

@@ -1,5 +1,6 @@
 """Files that are written whole or not at all, and only inside the folder that they are meant for."""
 
+import errno
 import os
 import shutil
 from collections.abc import Iterator
@@ -8,6 +9,19 @@ from pathlib import Path
 from typing import BinaryIO
 
 from splatax.errors import InputError
+
+REASONS = {  # why a file cannot be used, and the way out
+    errno.EEXIST: "a file, where a folder is needed. Choose another place.",
+    errno.ENOTDIR: "lies below a file, where a folder is needed. Choose another place.",
+    errno.EISDIR: "a folder, where a file is needed. Choose another name.",
+    errno.EACCES: "not permitted. Choose a place that you may use.",
+    errno.EPERM: "not permitted. Choose a place that you may use.",
+    errno.EROFS: "cannot be written to ({disk}, is read-only). Choose another place.",
+    errno.ENOSPC: "no space is left ({disk}). Free some, and run it again.",
+    errno.EDQUOT: "your quota is used up ({disk}). Free some space, and run it again.",
+    errno.EFBIG: "larger than files may be here ({disk}). Raise the limit, or choose another place.",
+    errno.EIO: "the disk failed ({disk}). Choose another place.",
+}
 
 
 @contextmanager
@@ -85,3 +99,11 @@ def disk_of(path: Path) -> str:
         return f"the disk at {place}, {shutil.disk_usage(place).free:,} bytes free"
     except OSError as error:
         return f"the disk at {place}, whose free space is unknown ({error.strerror})"
+
+
+def explained(error: OSError) -> str:
+    """Returns which file an error is about, what is wrong, and the way out; for a disk also which one."""
+    if error.filename is None:
+        return f"{error.strerror or error}."
+    reason = REASONS.get(error.errno or 0, f"{error.strerror or error}.")
+    return f"{error.filename}: {reason.format(disk=disk_of(Path(str(error.filename))))}"

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from splatax.report.history import History
+from splatax.runs.history import History
 
 SMOOTHING = 50  # steps that the loss is averaged over
 

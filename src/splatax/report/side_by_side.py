@@ -10,7 +10,8 @@ from scipy.ndimage import uniform_filter
 from splatax.dataset import Mask
 from splatax.report.curves import psnr_over_time
 from splatax.report.page import fill
-from splatax.report.pictures import Picture, data_uri
+from splatax.report.pictures import data_uri
+from splatax.runs.history import Picture
 
 COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f")
 CROP_SHARE = 1 / 5  # of the shorter side of a picture

@@ -9,6 +9,7 @@ from typing import BinaryIO
 
 from splatax.errors import InputError
 from splatax.io.files import disk_of
+from splatax.runs.checkpoints import files
 
 try:
     import fcntl
@@ -51,6 +52,34 @@ def claimed(folder: Path) -> Iterator[None]:
         with suppress(OSError):
             if new:
                 folder.rmdir()  # if nothing was written
+
+
+@contextmanager
+def claimed_for_run(out: Path, replace: bool) -> Iterator[None]:
+    """Makes the folder of a run, and keeps other processes from writing to it meanwhile.
+
+    Args:
+        out: the folder.
+        replace: whether what an earlier run has written there may be replaced.
+
+    Raises:
+        InputError: if the folder holds a run that must not be replaced, another process writes to it, or it
+            cannot be written to.
+    """
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: a file, not a folder. Choose another folder.", options=("out",))
+    with claimed(out):
+        if files(out) and not replace:
+            raise InputError(
+                f"{out}: holds a run that was stopped. Resume it, choose another folder, or replace it.",
+                options=(f"resume {out}", "out", "overwrite"),
+            )
+        if (out / "scene.ply").exists() and not replace:
+            raise InputError(
+                f"{out}: holds the results of a run. Choose another folder, or replace them.",
+                options=("out", "overwrite"),
+            )
+        yield
 
 
 def _locked(folder: Path) -> BinaryIO:

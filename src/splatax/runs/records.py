@@ -2,13 +2,18 @@
 have edited or cut short: whatever is wrong with one ends in one sentence."""
 
 import json
+import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
+import numpy as np
+
 from splatax.errors import FormatError, InputError
+from splatax.io.files import write_whole
 
 
 @contextmanager
@@ -89,3 +94,25 @@ def typed(value: Any, hint: Any, name: str) -> Any:
     elif hint is Path and isinstance(value, str):
         return Path(value)
     raise TypeError(f"{name} is {str(value)[:40]!r}")
+
+
+def as_json(value: Any) -> Any:
+    """Returns a value as JSON values; a dataclass becomes its name and fields."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {"type": type(value).__name__} | {
+            f.name: as_json(getattr(value, f.name)) for f in fields(value)
+        }
+    if isinstance(value, Mapping):
+        return {key: as_json(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [as_json(item) for item in value]
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return value
+
+
+def write_json(path: Path, contents: Any) -> None:
+    """Writes a JSON file, whole or not at all; numbers that are not finite become null."""
+    write_whole(path, (json.dumps(as_json(contents), indent=2) + "\n").encode())

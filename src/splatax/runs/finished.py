@@ -28,13 +28,13 @@ PROTOCOL = {"images", "psnr", "ssim", "corrected_psnr", "number of masks"}  # wh
 
 @dataclass(frozen=True)
 class FinishedRun:
-    """What a run left, but for its scene.
+    """A finished run as its files tell it, except for its scene.
 
     Attributes:
-        name: tells it from the others.
+        name: distinguishes it from other runs.
         folder: of its files.
         options: that it was started with.
-        metrics: that it was measured by.
+        metrics: from metrics.json.
     """
 
     name: str
@@ -49,7 +49,7 @@ class FinishedRun:
 
     @property
     def protocol(self) -> dict[str, Any]:
-        """How it was measured."""
+        """How the run was measured."""
         return self.metrics["protocol"] | {"number of masks": self.metrics.get("masked_test_views", 0)}
 
     def check(self) -> None:
@@ -69,17 +69,17 @@ class FinishedRun:
 
     @property
     def test_psnr(self) -> dict[str, float]:
-        """Of each test view, dB."""
+        """PSNR of each test view, dB."""
         return {view["name"]: psnr_of(view) for view in self.metrics["test"]["views"]}
 
 
 def psnr_of(measures: dict[str, Any]) -> float:
-    """PSNR as JSON has it, dB: null is infinite."""
+    """Returns a PSNR of a JSON record, dB: null is infinite."""
     return math.inf if measures["psnr"] is None else measures["psnr"]
 
 
 def read_runs(folders: Sequence[Path]) -> list[FinishedRun]:
-    """Reads runs, and names each after its folder, or its whole path where two have one name.
+    """Reads runs. Each is named after its folder, or after its whole path where two folders have one name.
 
     Raises:
         InputError: if a folder is not that of a finished run, or is given twice.
@@ -102,14 +102,14 @@ def read_runs(folders: Sequence[Path]) -> list[FinishedRun]:
 
 
 def finished(run: Path, names: set[str]) -> tuple[dict[str, Any], list[tuple[int, int]]]:
-    """Options of a finished run, and the changes of its number of steps, to make it again.
+    """Returns the options of a finished run and the changes of its number of steps, to repeat it.
 
     Args:
         run: its folder, or the config.json in it.
-        names: of the options that there are.
+        names: of the options that this version has.
 
     Raises:
-        InputError: if there is none, or it was made with other options.
+        InputError: if there is no such run, or it was made with other options.
     """
     path = run / "config.json" if run.is_dir() else run
     options = part_of(path, {}, within="options")
@@ -167,9 +167,7 @@ def part_of(path: Path, needed: Mapping[str, Any], within: str | None = None) ->
     try:
         contents = read_record(path, AGAIN)
     except (FileNotFoundError, NotADirectoryError):
-        raise InputError(
-            f"{path.parent}: no {path.name} in it. Give folders that `splatax train` has written to the end."
-        ) from None
+        raise InputError(f"{path.parent}: no {path.name} in it. Give folders of finished runs.") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}). Make it readable.") from error
     with understood(path, AGAIN):
@@ -194,7 +192,8 @@ def check_comparable(runs: Sequence[FinishedRun], *, scene_given: bool) -> None:
         if not scene_given and run.scene.resolve() != first.scene.resolve():
             raise InputError(
                 f"{run.folder}: trained on {run.scene}, but {first.folder} on {first.scene}. Compare runs "
-                "of one capture; if it has moved, say where it is: --scene."
+                "of one capture; if it has moved, say where it is.",
+                options=("scene",),
             )
         ours, theirs = set(run.test_psnr), set(first.test_psnr)
         if ours != theirs:

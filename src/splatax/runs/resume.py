@@ -1,50 +1,58 @@
-"""Going on with a run: its newest checkpoint, and whether all is as it was."""
+"""Resuming a run: its newest checkpoint, and whether everything is as it was."""
 
+import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import splatax as sx
-from splatax.cli.checkpoints import FOLDER, files, unpacked
-from splatax.cli.output import say
-from splatax.cli.platform import device, versions
-from splatax.cli.results import as_json
+from splatax.dataset import Dataset
 from splatax.errors import FormatError, InputError
-from splatax.report.history import History
-from splatax.runs.records import understood
+from splatax.runs.checkpoints import FOLDER, files
+from splatax.runs.history import History, unpacked
+from splatax.runs.machine import device, versions
+from splatax.runs.records import as_json, understood
 from splatax.training import checkpoint
 from splatax.training.checkpoint import Checkpoint
 from splatax.training.loop import RunState
+from splatax.training.recipes import Recipe
 
 DECISIVE = ("splatax", "jax", "jaxlib", "numpy", "optax")  # packages whose version decides what a step does
 
 FACTS = {"options": dict, "recipe": dict, "capture": dict, "versions": dict, "device": str}
-OTHER = "Go on from another one in its folder, or start the run again."
+OTHER = "Resume from another one in its folder, or start the run again."
 
 
 @dataclass(frozen=True)
 class Earlier:
-    """A checkpoint, and the folder of its run."""
+    """A run that was stopped.
+
+    Attributes:
+        path: of a checkpoint.
+        run: folder of the run.
+        checkpoint: its contents.
+        history: the record of the run until then.
+        facts: about the run; see the function `facts`.
+    """
 
     path: Path
     run: Path
     checkpoint: Checkpoint
-    history: History  # of the run until then
-    facts: Mapping[str, Any]  # that the run was made of; see `facts`
+    history: History
+    facts: Mapping[str, Any]
 
     @property
     def options(self) -> dict[str, Any]:
-        """That the run was started with, as JSON values.
+        """The options that the run was started with, as JSON values.
 
         Raises:
-            InputError: if it was by another version.
+            InputError: if another version of splatax or of a package that decides its steps started it.
         """
         self._require("versions", {name: versions()[name] for name in DECISIVE})
         return self.facts["options"]
 
-    def state(self, recipe: sx.Recipe, dataset: sx.Dataset) -> RunState:
-        """The run on the device. Says so where it cannot go on bit for bit.
+    def state(self, recipe: Recipe, dataset: Dataset) -> RunState:
+        """Returns the run on the device. Warns if the rest cannot be the same bit for bit.
 
         Raises:
             InputError: if recipe or capture are not those of the run.
@@ -53,9 +61,10 @@ class Earlier:
         for subject in ("recipe", "capture"):
             self._require(subject, now[subject])
         if self.facts["device"] != now["device"]:
-            say(
-                f"the run was started on {self.facts['device']}, this is {now['device']}: "
-                "what comes out is as good, but not the same bit for bit"
+            warnings.warn(
+                f"the run was started on {self.facts['device']}, this is {now['device']}: the result will be "
+                "as good, but not the same bit for bit",
+                stacklevel=2,
             )
         with understood(self.path, OTHER):
             try:
@@ -72,8 +81,8 @@ class Earlier:
             )
 
 
-def facts(options: Mapping[str, Any], recipe: sx.Recipe, dataset: sx.Dataset) -> dict[str, Any]:
-    """What a run was made of, as JSON values."""
+def facts(options: Mapping[str, Any], recipe: Recipe, dataset: Dataset) -> dict[str, Any]:
+    """Returns what a run is made of, as JSON values: the header of its checkpoints."""
     return {
         "options": as_json(options),
         "recipe": as_json(recipe),
@@ -84,7 +93,7 @@ def facts(options: Mapping[str, Any], recipe: sx.Recipe, dataset: sx.Dataset) ->
 
 
 def find(path: Path) -> Earlier:
-    """The checkpoint at a path, or the newest of the run in a folder.
+    """Returns the checkpoint at a path, or the newest one of the run in a folder.
 
     Raises:
         InputError: if there is none, or it is damaged.
@@ -101,15 +110,16 @@ def find(path: Path) -> Earlier:
         saved = checkpoint.read(chosen)
         with understood(chosen, ""):
             known = {name: kind(saved.header["run"][name]) for name, kind in FACTS.items()}
-            return Earlier(chosen, run, saved, unpacked(saved), known)
+            return Earlier(chosen, run, saved, unpacked(dict(saved.header), dict(saved.arrays)), known)
     except FormatError as error:
         older = [file for file in files(run) if file.name < chosen.name]
-        way_out = f"Go on from the one before: --resume {older[-1]}" if older else "Start the run again"
-        raise FormatError(f"{str(error).rstrip()} {way_out}.") from error
+        way_out = "Resume from the one before" if older else "Start the run again"
+        options = (f"resume {older[-1]}",) if older else ()
+        raise FormatError(f"{str(error).rstrip()} {way_out}.", options=options) from error
 
 
 def newest(run: Path) -> Path:
-    """The latest checkpoint in the folder of a run.
+    """Returns the latest checkpoint in the folder of a run.
 
     Raises:
         InputError: if there is none.
@@ -121,14 +131,15 @@ def newest(run: Path) -> Path:
         raise InputError(f"{run}: this run has already finished; nothing to resume.")
     if (run / "scene.ply").exists():
         raise InputError(
-            f"{run}: holds a scene, but neither its report nor a checkpoint to write it from. Measure the "
-            f"scene: splatax eval {run} CAPTURE, or train again: --overwrite."
+            f"{run}: holds a scene, but neither its report nor a checkpoint to write it from. Evaluate the "
+            "scene by itself, or train again.",
+            options=("overwrite",),
         )
     raise InputError(f"{run}: no checkpoint. If a run was stopped here before its first, start it again.")
 
 
 def differences(then: Any, now: Any, name: str = "") -> Iterator[str]:
-    """What is not the same in two JSON values, in words."""
+    """Yields what differs between two JSON values, in words."""
     if isinstance(then, dict) and isinstance(now, dict):
         for key in [*then, *(key for key in now if key not in then)]:
             yield from differences(then.get(key), now.get(key), f"{name} {key}".strip())

@@ -2,12 +2,13 @@
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
 from splatax import web
 from splatax.cli.interruption import resumable
-from splatax.cli.options import parsed
+from splatax.cli.options import OverwriteFlag, TextOption, parsed
 from splatax.cli.output import say
 from splatax.cli.page import Page
 from splatax.cli.reconstruct import Reconstruct
@@ -21,16 +22,16 @@ from splatax.runs.checkpoints import files
 from splatax.runs.claim import claimed
 from splatax.runs.records import read_record, typed_fields, understood, write_json
 
-ORDER = "create.json"  # in OUT, once there is a capture: what the rest is made of
+ORDER = "create.json"  # in OUT, once there is a capture: the input of the remaining stages
 
 
 @dataclass(frozen=True)
 class Order:
-    """What a folder of `create` holds.
+    """The input of an output folder of `create`.
 
     Attributes:
-        photos: absolute path of what it was made from.
-        seconds: of training.
+        photos: absolute path of the photos, video or capture.
+        seconds: time of training.
     """
 
     photos: str
@@ -39,22 +40,22 @@ class Order:
 
 @dataclass(frozen=True)
 class Create:
-    """Make a page that anyone can open, from photos, a video, or a capture.
+    """Make a web page from photos, a video, or a capture.
 
-    Finds out where the photos were taken (OUT/capture), trains a scene on them (OUT/run), and writes
-    OUT/scene.html. Stopped and started again, it goes on where it was.
+    Estimates the camera poses (OUT/capture), trains a scene (OUT/run), and writes OUT/scene.html. If
+    interrupted, run the same command again to resume.
     """
 
-    photos: tyro.conf.Positional[Path]
+    photos: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PHOTOS")]
     """Folder of photos, a video, or a capture, whose cameras are known already."""
-    out: Path
-    """Folder for all that is made."""
-    budget: str = "10min"
-    """Time to train for, such as 90s, 10min or 1h."""
-    title: str | None = None
-    """Of the page and the report. Without it: the name of OUT."""
-    overwrite: bool = False
-    """Make all anew, and replace what an earlier call has written to the same folder."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
+    """Output folder."""
+    budget: Annotated[str, tyro.conf.arg(metavar="TIME")] = "10min"
+    """Training time, for example 90s, 10min or 1h. Estimating the cameras takes additional time."""
+    title: TextOption = None
+    """Title of the page and the report. By default the name of the output folder."""
+    overwrite: OverwriteFlag = False
+    """Start over and overwrite existing results in the output folder."""
 
     def run(self) -> None:
         web.require_viewer()  # before an hour of work, not after it
@@ -64,16 +65,16 @@ class Create:
             self.make()
 
     def make(self) -> None:
-        """Goes through the stages that are not done yet."""
+        """Runs the stages that are not done yet."""
         run, page = self.out / "run", self.out / "scene.html"
         with resumable():
             capture = self.photos if is_capture(self.photos) else self.reconstructed()
             write_json(self.out / ORDER, asdict(self.order()))
             self.train(capture, run)
             if files(run):
-                raise KeyboardInterrupt  # which training has heard, and ended well
+                raise KeyboardInterrupt  # training has handled it, and saved the run
             Page(run, page, scene=capture, title=self.named(), overwrite=True).run()
-        say(f"open it with a double click: {page}")
+        say(f"Done. Double-click {page} to open it.")
 
     def refuse_what_cannot_be_made(self) -> None:
         """Raises InputError before any work is done."""
@@ -103,22 +104,22 @@ class Create:
             )
 
     def named(self) -> str:
-        """The title of what is made."""
+        """Returns the title of the page and the report."""
         return self.title or self.out.resolve().name
 
     def order(self) -> "Order":
-        """Returns what the scene is made of."""
+        """Returns the input that the options describe."""
         return Order(str(self.photos.resolve()), parsed("budget", self.budget, parse_seconds))
 
     def reconstructed(self) -> Path:
-        """The capture of the photos, made if it is not there yet."""
+        """Returns the capture of the photos, and makes it if it does not exist yet."""
         capture = self.out / "capture"
         if self.overwrite or not is_capture(capture):
             Reconstruct(self.photos, capture, overwrite=self.overwrite).run()
         return capture
 
     def train(self, capture: Path, run: Path) -> None:
-        """Trains a scene, or goes on with it. The report is the last file that training writes."""
+        """Trains a scene, or resumes that. The report is the last file that training writes."""
         if files(run) and not self.overwrite:
             Train(rerun=Rerun(resume=run)).run()
         elif (run / "report.html").exists() and not self.overwrite:

@@ -1,9 +1,13 @@
-"""`splatax demo`: a scene out of nothing, to see that all works."""
+"""`splatax demo`: a synthetic scene, to see that everything works."""
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 from splatax import web
+from splatax.cli.options import OverwriteFlag
 from splatax.cli.output import say
 from splatax.cli.page import Page
 from splatax.cli.train import Train
@@ -18,25 +22,25 @@ TITLE = "splatax demo"
 
 @dataclass(frozen=True)
 class Demo:
-    """Photograph a procedural still life, train on the photos, and write a page that shows the scene.
+    """Render a synthetic still life, train on it and build its page.
 
-    Needs no data. The capture is left in OUT/capture, in COLMAP's layout; the rest is as `splatax
-    train` writes it.
+    Needs no data. OUT/capture holds the capture in COLMAP's layout; the other files are those of `splatax
+    train`.
     """
 
-    out: Path = Path("runs/demo")
-    """Folder for the capture and the results."""
-    steps: int = 2_000
-    """How many photos to learn from, one after the other."""
-    seed: int = 0
-    """Of all randomness."""
-    overwrite: bool = False
-    """Replace the results of an earlier run in the same folder."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("runs/demo")
+    """Output folder for the capture and the results."""
+    steps: Annotated[int, tyro.conf.arg(metavar="N")] = 2_000
+    """Number of training steps; each step uses one photo."""
+    seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0
+    """Random seed."""
+    overwrite: OverwriteFlag = False
+    """Replace the results of an earlier run in the output folder."""
 
     def run(self) -> None:
         capture = self.out / "capture"
         with claimed_for_run(self.out, self.overwrite):
-            say(f"drawing {PHOTOS} photos of {SIZE[0]} x {SIZE[1]} pixels into {capture}")
+            say(f"rendering {PHOTOS} photos of {SIZE[0]} x {SIZE[1]} pixels into {capture}")
             write_capture(capture)
         Train(
             capture,
@@ -54,4 +58,4 @@ class Demo:
             return
         page = self.out / "scene.html"
         Page(self.out, page, scene=capture, title=TITLE, overwrite=True).run()
-        say(f"open it with a double click: {page}")
+        say(f"Done. Double-click {page} to open it.")

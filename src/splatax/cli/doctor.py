@@ -1,4 +1,4 @@
-"""`splatax doctor`: what runs here, and whether it computes what it should."""
+"""`splatax doctor`: a self-test of this installation."""
 
 import os
 import sys
@@ -52,12 +52,12 @@ class Doctor:
 
 
 def usable_threads() -> int:
-    """Of the processor, as far as this process may use them."""
+    """Returns the number of threads that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def image_and_gradient(backend: str) -> list[np.ndarray]:
-    """Of a small scene: the picture, and the gradient of a sum over it in scene and camera."""
+    """Returns the image of a small scene, and gradients of a sum over it with respect to scene and camera."""
     scene = procedural(GAUSSIANS, SIZE)
     weights = jnp.asarray(np.random.default_rng(0).normal(size=(SIZE[1], SIZE[0], 3)), jnp.float32)
 
@@ -70,7 +70,7 @@ def image_and_gradient(backend: str) -> list[np.ndarray]:
 
 
 def difference(actual: list[np.ndarray], expected: list[np.ndarray]) -> float:
-    """The largest, relative to the largest value of its array; infinite where one is not finite."""
+    """Returns the largest relative difference; infinite if a value is not finite."""
     errors = [
         np.abs(a - e).max() / max(np.abs(e).max(), 1e-12) for a, e in zip(actual, expected, strict=True)
     ]

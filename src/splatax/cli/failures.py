@@ -1,4 +1,4 @@
-"""What a command says when it cannot do its work."""
+"""Messages of commands that fail."""
 
 from dataclasses import fields, is_dataclass
 from typing import Any, get_type_hints

@@ -3,7 +3,6 @@ pipe behind standard output never ends the work."""
 
 import os
 import sys
-import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
 from typing import Any
@@ -11,14 +10,14 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
-HARMFUL = {"Cc", "Cs", "Zl", "Zp"}  # Unicode: control characters, broken encodings, separators of lines
-REORDERING = {"LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI"}  # of text around them
+from splatax.errors import is_shown
+
 UNWRITTEN = 1  # exit code where standard output could not be written, as of other command-line tools
 
 
 def printable(text: str) -> str:
     """Returns text with its control characters escaped, so that a file name cannot command the terminal."""
-    return "".join(_escaped(character) if _harms(character) else character for character in text)
+    return "".join(character if is_shown(character) else _escaped(character) for character in text)
 
 
 def say(text: object) -> None:
@@ -39,10 +38,6 @@ def cell(text: object, style: str = "") -> Text:
 def show(renderable: Any) -> None:
     """Prints a table, or markup that holds no names."""
     Console().print(renderable)
-
-
-def _harms(character: str) -> bool:
-    return unicodedata.category(character) in HARMFUL or unicodedata.bidirectional(character) in REORDERING
 
 
 def _escaped(character: str) -> str:

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
+import tyro
+
 from splatax.cli.options import (
     AppearanceName,
     BackendName,
@@ -53,7 +55,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class Method:
-    """What is trained, and how."""
+    """Training method."""
 
     recipe: Annotated[RecipeName | None, shown_as()] = None
     """Preset of all training settings. "classic": Kerbl et al. 2023; "absgrad": Ye et al. 2024; "mcmc":
@@ -102,8 +104,8 @@ class Live:
 
     view: Annotated[bool, shown_as()] = False
     """Show the scene in the browser while it trains."""
-    host: str = LOCAL[0]
+    host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = LOCAL[0]
     """Address to listen on. The default accepts connections from this machine only; 0.0.0.0 accepts
     connections from the network."""
-    port: int = PORT
+    port: Annotated[int, tyro.conf.arg(metavar="PORT")] = PORT
     """Port of the live viewer; if it is taken, the next free one is used."""

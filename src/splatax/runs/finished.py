@@ -49,7 +49,7 @@ class FinishedRun:
 
     @property
     def protocol(self) -> dict[str, Any]:
-        """How the run was measured."""
+        """The protocol by which the run was measured."""
         return self.metrics["protocol"] | {"number of masks": self.metrics.get("masked_test_views", 0)}
 
     def check(self) -> None:

@@ -72,7 +72,7 @@ class Results:
 
     @property
     def refines_cameras(self) -> bool:
-        """Whether the training cameras were improved, so that there is a model of them."""
+        """True if the training cameras were refined, so that there is a model of them."""
         return not isinstance(self.recipe.camera_refinement, FixedCameras)
 
     def write(self, present: "Present") -> Scores | None:

@@ -10,12 +10,15 @@ import splatax
 ROOT = Path(splatax.__file__).parent
 LAYERS = (  # lowest first; a package stands for all its modules
     {"math", "errors", "packages", "shapes", "varying"},
-    {"gaussians", "splats", "cameras", "dataset", "forecast", "resampling", "transforms"},
+    {"gaussians", "splats", "cameras", "dataset", "resampling", "transforms"},
     {"projection", "losses", "metrics", "lpips", "io"},
     {"backends"},
     {"rendering", "trajectories"},
     {"training", "evaluation", "editing"},
-    {"report", "demo", "bench", "budget", "reconstruction", "inspection", "notebook", "web"},
+    {"demo", "bench", "reconstruction", "notebook", "web"},
+    {"runs"},
+    {"inspection"},
+    {"report"},
     {"viewer"},
     {"cli", "__main__"},
 )

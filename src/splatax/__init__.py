@@ -44,7 +44,7 @@ HOMES = {  # public name -> module here that defines it
 SUBMODULES = {  # public name -> module here
     "backends": "backends",
     "editing": "editing",
-    "forecast": "forecast",
+    "forecast": "runs.forecast",
     "inspection": "inspection",
     "losses": "losses",
     "lpips": "lpips",
@@ -61,7 +61,6 @@ SUBMODULES = {  # public name -> module here
 if TYPE_CHECKING:  # the same names, for type checkers and editors; tests/test_importing.py compares them
     from splatax import backends as backends
     from splatax import editing as editing
-    from splatax import forecast as forecast
     from splatax import inspection as inspection
     from splatax import losses as losses
     from splatax import lpips as lpips
@@ -97,6 +96,7 @@ if TYPE_CHECKING:  # the same names, for type checkers and editors; tests/test_i
     from splatax.rendering import project as project
     from splatax.rendering import rasterize as rasterize
     from splatax.rendering import render as render
+    from splatax.runs import forecast as forecast
     from splatax.splats import Splats as Splats
     from splatax.training import recipes as recipes
     from splatax.training.loop import Progress as Progress

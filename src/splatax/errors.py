@@ -27,11 +27,18 @@ def is_shown(character: str) -> bool:
 class InputError(ValueError):
     """Bad input from outside. The command line prints it as one sentence and exits with code 2.
 
-    The message is one line of at most `LONGEST_MESSAGE` characters, whatever a file put into it.
+    The message is one line of at most `LONGEST_MESSAGE` characters, whatever a file put into it. The library
+    knows no command line, so a message never names an option. Where a parameter of the caller helps, it is
+    named in `options`, and a command that has an option of this name points to it.
+
+    Attributes:
+        options: names of parameters that help, such as "max_gaussians", or with a value, such as
+            "resume runs/garden".
     """
 
-    def __init__(self, message: object = "") -> None:
+    def __init__(self, message: object = "", *, options: tuple[str, ...] = ()) -> None:
         super().__init__(shown(str(message), LONGEST_MESSAGE))
+        self.options = options
 
 
 class DatasetError(InputError):

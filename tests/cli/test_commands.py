@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 from PIL import Image
+from test_refusals import refused
 
 import splatax as sx
 from splatax import backends, cli, lpips
-from splatax.cli.train import Train
+from splatax.cli import render
+from splatax.cli.settings import Settings
 from splatax.training.backgrounds import Solid
 from splatax.training.initialize import InFrusta
 from splatax.training.recipes import PRESETS, room_for
@@ -54,14 +56,14 @@ def test_config_holds_all_that_repeats_a_run(trained, capture):
 
 def test_options_decide_over_the_recipe_and_nothing_else_does(capture):
     dataset = sx.load_dataset(capture)
-    plain = Train(capture).to_recipe(dataset)
+    plain = Settings(capture).to_recipe(dataset)
     assert plain == replace(PRESETS["default"].build(30_000, room_for(dataset)), backend=plain.backend)
-    chosen = Train(capture, recipe="mcmc", max_gaussians=70, init="random", background="white")
+    chosen = Settings(capture, recipe="mcmc", max_gaussians=70, init="random", background="white")
     recipe = chosen.to_recipe(dataset)
     assert recipe.density.max_gaussians == 70
     assert recipe.initialization == InFrusta(opacity=0.5, scale=0.1)
     assert recipe.background == Solid((1.0, 1.0, 1.0))
-    classic = Train(capture, recipe="classic").to_recipe(dataset)
+    classic = Settings(capture, recipe="classic").to_recipe(dataset)
     assert classic == replace(PRESETS["classic"].build(), backend=plain.backend)
 
 
@@ -123,6 +125,30 @@ def test_render_keeps_pictures_unless_told(trained, capture, tmp_path, capsys):
     assert "--overwrite" in capsys.readouterr().err
     cli.main([*arguments, "--overwrite", "--split", "all"])
     assert len(list((tmp_path / "rgb").iterdir())) == 9
+
+
+def test_render_writes_nowhere_but_into_its_folder(trained, capture, tmp_path, monkeypatch, capsys):
+    family = tmp_path / "family"
+    family.mkdir()
+    (family / "mum.png").write_bytes(b"a photo")
+    dataset = sx.load_dataset(capture)
+    for name in ("../../family/mum.png", str(family / "mum.png")):
+        views = (replace(dataset.test[0], name=name),)
+        monkeypatch.setattr(render, "load_scene", lambda *_, views=views: replace(dataset, test=views))
+        error = refused(capsys, "render", trained, capture, "--out", tmp_path / "out", "--split", "test")
+        assert f"{name}: a view of this name would be written outside" in error
+    assert [path.name for path in family.iterdir()] == ["mum.png"]
+    assert (family / "mum.png").read_bytes() == b"a photo"
+
+
+def test_photos_that_differ_by_their_suffix_alone_have_a_picture_each(capture, tmp_path):
+    view = sx.load_dataset(capture).test[0]
+    views = [replace(view, name=name) for name in ("a.jpg", "a.png", "b.png")]
+    assert [files.color.name for files in render.files_of(views, tmp_path)] == [
+        "a.jpg.png",
+        "a.png.png",
+        "b.png",
+    ]
 
 
 @pytest.mark.parametrize(

@@ -100,7 +100,7 @@ def with_a_damaged_file(runs, tmp_path):
 
 def with_a_measure_missing(runs, tmp_path):
     change(runs[1] / "metrics.json", lambda metrics: metrics.pop("gaussians"))
-    return f"{runs[1] / 'metrics.json'}: no 'gaussians' in it"
+    return f"{runs[1] / 'metrics.json'}: damaged (no 'gaussians' in it)"
 
 
 @pytest.mark.parametrize(

@@ -87,7 +87,7 @@ def test_stopped_in_any_stage_the_same_command_goes_on_with_it(stages, photos, t
     with pytest.raises(SystemExit) as exit:
         cli.main(command)
     assert exit.value.code == 130
-    assert capsys.readouterr().err == "stopped. To go on: the same command again\n"
+    assert capsys.readouterr().err == "splatax: stopped. Run the same command again to resume\n"
     stages.stop = None
     cli.main(command)
     assert stages == ["reconstruct", "train", "page"]

@@ -5,7 +5,8 @@ import io
 import pytest
 from rich.console import Console
 
-from splatax.cli.display import Display, duration
+from splatax.cli.display import Display
+from splatax.runs.budget import duration
 
 
 @pytest.mark.parametrize(

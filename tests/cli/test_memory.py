@@ -7,9 +7,9 @@ import pytest
 
 import splatax as sx
 from splatax import cli
-from splatax.cli.planning import parse_bytes, room_within
-from splatax.errors import InputError
-from splatax.forecast import memory
+from splatax.runs.budget import parse_bytes
+from splatax.runs.forecast import memory
+from splatax.runs.planning import room_within
 from training.test_training import SIZE
 from training.test_training import capture as made
 
@@ -26,12 +26,12 @@ def test_sizes_are_read_with_their_units():
 
 @pytest.mark.parametrize("text", ["", "GB", "-4GB", "0MB", "4 elephants"])
 def test_what_is_no_size_is_refused(text):
-    with pytest.raises(InputError, match="a size such as 4GB"):
+    with pytest.raises(ValueError, match="a size such as 4GB"):
         parse_bytes(text)
 
 
 def test_the_room_is_as_large_as_the_limit_but_not_larger():
-    room = room_within("2GB", made(), first=100)
+    room = room_within(2_000_000_000, made(), first=100)
     photos = 3 * SIZE[0] * SIZE[1] * len(made().train)
     assert room.photos == photos
     assert memory(room.gaussians, *SIZE, photos) <= 2_000_000_000 < memory(room.gaussians + 2, *SIZE, photos)
@@ -52,7 +52,7 @@ def test_more_gaussians_than_there_is_room_for_are_refused_with_the_numbers(capt
 
 @pytest.mark.parametrize("recipe", ["default", "classic"])
 def test_a_limit_lowers_the_number_of_gaussians_and_is_written_down(recipe, capture, tmp_path, monkeypatch):
-    monkeypatch.setattr("splatax.forecast.most_gaussians", lambda *_: 37)
+    monkeypatch.setattr("splatax.runs.forecast.most_gaussians", lambda *_: 37)
     options = ["--memory", "4GB", "--steps", "30", "--recipe", recipe]
     cli.main(["train", str(capture), "--out", str(tmp_path), *options])
     config = json.loads((tmp_path / "config.json").read_text())

@@ -18,7 +18,7 @@ import splatax as sx
 from captures import write_capture
 from shortened import shortened
 from splatax import cli
-from splatax.cli import resume, session, train
+from splatax.runs import resume, session
 from splatax.training.recipes import PRESETS, ShSchedule
 
 STEPS = 24
@@ -39,7 +39,7 @@ def stopped_at(monkeypatch):
                     raise PowerCut
                 yield progress
 
-        monkeypatch.setattr(session.sx, "optimize", optimize)
+        monkeypatch.setattr(session, "optimize", optimize)
 
     return stop
 
@@ -69,11 +69,11 @@ def recipe(request, monkeypatch):
     """The name of a recipe, which is shortened so that it refines between the stops."""
     short = shortened(request.param)
 
-    def make(steps, **_):
+    def make(steps=30, **_):
         return replace(short, steps=steps)
 
     preset = replace(PRESETS[request.param], build=make)
-    monkeypatch.setitem(train.PRESETS, request.param, preset)
+    monkeypatch.setitem(PRESETS, request.param, preset)
     return request.param
 
 
@@ -83,7 +83,7 @@ def stopped(capture, tmp_path, stopped_at, monkeypatch):
     stopped_at(13)
     with pytest.raises(PowerCut):
         start(capture, tmp_path / "run")
-    monkeypatch.setattr(session.sx, "optimize", sx.training.loop.optimize)
+    monkeypatch.setattr(session, "optimize", sx.training.loop.optimize)
     return tmp_path / "run"
 
 
@@ -103,7 +103,7 @@ def test_a_run_that_was_stopped_again_and_again_ends_with_the_same_bytes(
         stopped_at(stop)
         with pytest.raises(PowerCut):
             go_on(tmp_path / "run")
-    monkeypatch.setattr(session.sx, "optimize", sx.training.loop.optimize)
+    monkeypatch.setattr(session, "optimize", sx.training.loop.optimize)
     go_on(tmp_path / "run")
     for name in ("scene.ply", "progress.gif"):
         assert (tmp_path / "run" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
@@ -134,15 +134,17 @@ def test_a_signal_saves_writes_the_results_and_says_how_to_go_on(
 
     before = signal.getsignal(signal.SIGTERM)
     start(capture, tmp_path / "whole")
-    monkeypatch.setattr(session.sx, "optimize", optimize)
+    monkeypatch.setattr(session, "optimize", optimize)
     start(capture, tmp_path / "run", "--checkpoint-every", "0", "--checkpoint-steps", "0")
     assert signal.getsignal(signal.SIGTERM) == before
-    assert f"stopped at step 7. Go on: splatax train --resume {tmp_path / 'run'}" in capsys.readouterr().out
+    assert (
+        f"stopped at step 7. Resume it: splatax train --resume {tmp_path / 'run'}" in capsys.readouterr().out
+    )
     assert (tmp_path / "run" / "scene.ply").exists()
     assert kept(tmp_path / "run") == ["00000007.npz"]
-    monkeypatch.setattr(session.sx, "optimize", sx.training.loop.optimize)
+    monkeypatch.setattr(session, "optimize", sx.training.loop.optimize)
     go_on(tmp_path / "run")
-    assert "going on after step 7 of 24" in capsys.readouterr().out
+    assert "resuming after step 7 of 24" in capsys.readouterr().out
     assert (tmp_path / "run" / "scene.ply").read_bytes() == (tmp_path / "whole" / "scene.ply").read_bytes()
     assert json.loads((tmp_path / "run" / "metrics.json").read_text())["interrupted"] is False
 
@@ -154,7 +156,7 @@ def test_a_second_signal_stops_at_once(capture, tmp_path, monkeypatch):
             os.kill(os.getpid(), signal.SIGINT)
             yield progress
 
-    monkeypatch.setattr(session.sx, "optimize", optimize)
+    monkeypatch.setattr(session, "optimize", optimize)
     with pytest.raises(SystemExit) as exit:
         start(capture, tmp_path)
     assert exit.value.code == 130
@@ -175,7 +177,7 @@ def test_a_stopped_run_is_not_replaced_unless_told(stopped, capture, capsys):
 
 
 def test_nothing_to_go_on_with(capture, tmp_path, capsys, trained):
-    assert "the run is finished" in refused(capsys, go_on, trained)
+    assert "already finished" in refused(capsys, go_on, trained)
     assert "no such run" in refused(capsys, go_on, tmp_path / "nowhere")
     assert "stopped here before its first" in refused(capsys, go_on, tmp_path)
     (tmp_path / "scene.ply").write_bytes(b"")
@@ -190,7 +192,7 @@ def test_a_run_killed_before_its_first_checkpoint_can_be_started_again(
     with pytest.raises(PowerCut):
         start(capture, tmp_path)
     assert "stopped here before its first" in refused(capsys, go_on, tmp_path)
-    monkeypatch.setattr(session.sx, "optimize", sx.training.loop.optimize)
+    monkeypatch.setattr(session, "optimize", sx.training.loop.optimize)
     start(capture, tmp_path)
 
 
@@ -217,7 +219,7 @@ def test_other_options_are_refused_and_named(stopped, capsys, tmp_path):
     assert "--steps 30: the run was started with 24" in error
     assert "--seed 1" in refused(capsys, go_on, stopped, "--seed", 1)
     assert "--out" in refused(capsys, go_on, stopped, "--out", tmp_path / "elsewhere")
-    assert "--overwrite" in refused(capsys, go_on, stopped, "--overwrite")
+    assert "--overwrite True" in refused(capsys, go_on, stopped, "--overwrite")
     go_on(stopped, "--steps", STEPS, "--checkpoint-steps", 2)  # the same, and what changes no scene
 
 
@@ -262,15 +264,15 @@ def test_another_recipe_behind_the_same_options_is_refused(stopped, monkeypatch,
     name = chosen["run"]["options"]["recipe"]
     preset = PRESETS[name]
     other = replace(preset, build=lambda **k: replace(preset.build(**k), sh=ShSchedule(every=77)))
-    monkeypatch.setitem(train.PRESETS, name, other)
+    monkeypatch.setitem(PRESETS, name, other)
     assert "the recipe of the run changed: sh every was" in refused(capsys, go_on, stopped)
 
 
 def test_another_machine_is_said(stopped, monkeypatch, capsys):
     monkeypatch.setattr(resume, "device", lambda: "an abacus")
     go_on(stopped)
-    assert "this is an abacus: what comes out is as good, but not the same bit for bit" in " ".join(
-        capsys.readouterr().out.split()
+    assert "this is an abacus: the result will be as good, but not the same bit for bit" in " ".join(
+        capsys.readouterr().err.split()
     )
 
 
@@ -290,7 +292,7 @@ def test_a_full_disk_stops_training_in_words_and_the_run_goes_on_later(
     monkeypatch.setattr(os, "fsync", full)
     error = refused(capsys, go_on, stopped)
     assert "No space left on device" in error
-    assert "go on from 00000010.npz" in error
+    assert "resume from 00000010.npz" in error
     assert kept(stopped) == ["00000005.npz", "00000010.npz"]
     monkeypatch.setattr(os, "fsync", fsync)
     go_on(stopped)

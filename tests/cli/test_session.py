@@ -5,7 +5,7 @@ import signal
 
 import splatax as sx
 from splatax import cli
-from splatax.cli import session
+from splatax.runs import session
 
 
 def press_ctrl_c_at(step):
@@ -21,7 +21,7 @@ def press_ctrl_c_at(step):
 
 
 def test_ctrl_c_keeps_what_has_been_reached(capture, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(session.sx, "optimize", press_ctrl_c_at(3))
+    monkeypatch.setattr(session, "optimize", press_ctrl_c_at(3))
     before = signal.getsignal(signal.SIGINT)
     cli.main(["train", str(capture), "--out", str(tmp_path), "--steps", "100"])
     assert signal.getsignal(signal.SIGINT) == before

@@ -11,12 +11,12 @@ from scipy import ndimage
 
 import splatax as sx
 from captures import SIZE, model_of, pinhole, write_capture, write_transforms
-from splatax.budget import HEAVIER
 from splatax.inspection import examine, problems_of, seconds_to_train
 from splatax.inspection.looks import looks_of, robust_scores, spread
 from splatax.io.images import read
 from splatax.report.capture import capture_page, facts_of, roughly
 from splatax.report.plan import upright_frame
+from splatax.runs.budget import HEAVIER
 
 COUNT = 24
 NAMES = [f"photo{i:02}.png" for i in range(COUNT)]

@@ -11,9 +11,10 @@ from PIL import Image, ImageSequence
 
 from splatax.evaluation import Scores, ViewScore
 from splatax.report.curves import smoothed, training_curves
-from splatax.report.history import Evaluation, History
-from splatax.report.page import Comparison, report
+from splatax.report.page import report
 from splatax.report.pictures import LABEL_HEIGHT, LARGEST_ERROR, animation, data_uri, depth_map, error_map
+from splatax.runs.history import Evaluation, History
+from splatax.runs.results import Comparison
 
 GRAY = np.full((6, 8, 3), 100, np.uint8)
 

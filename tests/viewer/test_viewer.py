@@ -216,7 +216,7 @@ def test_a_frame_is_sent_when_something_changed_and_in_full_at_rest(viewer):
 
 def test_drawing_stays_within_its_share_of_training(viewer):
     from splatax.cli.view import RESTING_SHARE, Audience
-    from splatax.report.history import History
+    from splatax.runs.history import History
 
     audience, client, history = Audience(viewer), Client(), History(losses=[0.5, 0.4])
     progress = progress_of(random_gaussians())
@@ -234,7 +234,7 @@ def test_drawing_stays_within_its_share_of_training(viewer):
 
 def test_a_pause_ends_when_all_have_left(viewer):
     from splatax.cli.view import Audience
-    from splatax.report.history import History
+    from splatax.runs.history import History
 
     audience, client = Audience(viewer), Client()
     progress = progress_of(random_gaussians())

@@ -1,10 +1,11 @@
 """The command line: the library's first user."""
 
-import errno
+import functools
+import operator
 import sys
 import warnings
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -15,8 +16,10 @@ from splatax.cli.demo import Demo
 from splatax.cli.doctor import Doctor
 from splatax.cli.evaluate import Evaluate
 from splatax.cli.export import Export
+from splatax.cli.failures import advice
 from splatax.cli.inspect import Inspect
 from splatax.cli.interruption import STOPPED
+from splatax.cli.output import complain, guarded
 from splatax.cli.page import Page
 from splatax.cli.platform import keep_compiled_programs, keep_freed_memory
 from splatax.cli.reconstruct import Reconstruct
@@ -24,57 +27,66 @@ from splatax.cli.render import Render
 from splatax.cli.train import Train
 from splatax.cli.view import View
 from splatax.errors import InputError
+from splatax.io.files import explained
 
-Command = (
-    Annotated[Create, tyro.conf.subcommand("create")]
-    | Annotated[Reconstruct, tyro.conf.subcommand("reconstruct")]
-    | Annotated[Inspect, tyro.conf.subcommand("inspect")]
-    | Annotated[Train, tyro.conf.subcommand("train")]
-    | Annotated[Evaluate, tyro.conf.subcommand("eval")]
-    | Annotated[Render, tyro.conf.subcommand("render")]
-    | Annotated[View, tyro.conf.subcommand("view")]
-    | Annotated[Compare, tyro.conf.subcommand("compare")]
-    | Annotated[Export, tyro.conf.subcommand("export")]
-    | Annotated[Page, tyro.conf.subcommand("page")]
-    | Annotated[Demo, tyro.conf.subcommand("demo")]
-    | Annotated[Bench, tyro.conf.subcommand("bench")]
-    | Annotated[Doctor, tyro.conf.subcommand("doctor")]
-)
-REASONS = {  # why a file cannot be used, and the way out, where the system says less
-    errno.EEXIST: "a file, where a folder is needed. Choose another place.",
-    errno.ENOTDIR: "lies below a file, where a folder is needed. Choose another place.",
-    errno.EISDIR: "a folder, where a file is needed. Choose another name.",
-    errno.EACCES: "not permitted. Choose a place that you may use.",
-    errno.EPERM: "not permitted. Choose a place that you may use.",
-    errno.EROFS: "on a disk that cannot be written to. Choose another place.",
-    errno.ENOSPC: "no space is left on the disk. Free some, and run it again.",
+COMMANDS = {
+    "create": Create,
+    "reconstruct": Reconstruct,
+    "inspect": Inspect,
+    "train": Train,
+    "eval": Evaluate,
+    "render": Render,
+    "view": View,
+    "compare": Compare,
+    "export": Export,
+    "page": Page,
+    "demo": Demo,
+    "bench": Bench,
+    "doctor": Doctor,
 }
+REFUSED = 2  # exit code
 DESCRIPTION = "3D Gaussian Splatting in JAX: from photos to a scene, on CPU, GPU and TPU."
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Runs a command. Bad input is one sentence on stderr and exit code 2, never a traceback."""
-    command = tyro.cli(
-        Command,
-        args=arguments,
-        prog="splatax",
-        description=DESCRIPTION,
-        config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
+def choices(brief: bool) -> Any:
+    """Returns the type of all commands.
+
+    Args:
+        brief: describe each with the first sentence of its help, for the list of commands.
+    """
+    described = (
+        Annotated[
+            command,
+            tyro.conf.subcommand(
+                name, description=(command.__doc__ or "").splitlines()[0] if brief else None
+            ),
+        ]
+        for name, command in COMMANDS.items()
     )
-    warnings.formatwarning = lambda message, *_: f"splatax: warning: {message}\n"  # without lines of code
-    keep_compiled_programs()
-    keep_freed_memory()
-    try:
-        command.run()
-    except InputError as error:
-        sys.exit(_refused(error))
-    except OSError as error:
-        reason = REASONS.get(error.errno or 0, f"{error.strerror or error}.")
-        sys.exit(_refused(f"{error.filename or 'a file'}: {reason}"))
-    except KeyboardInterrupt:
-        sys.exit(STOPPED)
+    return functools.reduce(operator.or_, described)
 
 
-def _refused(reason: object) -> int:
-    print(f"splatax: {reason}", file=sys.stderr)
-    return 2
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Runs a command. Bad input ends in one sentence on standard error and exit code 2."""
+    with guarded():
+        given = sys.argv[1:] if arguments is None else list(arguments)
+        command = tyro.cli(
+            choices(brief=not COMMANDS.keys() & set(given)),
+            args=given,
+            prog="splatax",
+            description=DESCRIPTION,
+            config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes, tyro.conf.DisallowNone),
+        )
+        warnings.showwarning = lambda message, *_: complain(f"warning: {message}")  # without lines of code
+        keep_compiled_programs()
+        keep_freed_memory()
+        try:
+            command.run()
+        except InputError as error:
+            complain(advice(error, command))
+            sys.exit(REFUSED)
+        except OSError as error:
+            complain(explained(error))
+            sys.exit(REFUSED)
+        except KeyboardInterrupt:
+            sys.exit(STOPPED)

@@ -1,4 +1,4 @@
-"""`splatax bench`: what rendering and training cost on this machine."""
+"""`splatax bench`: the time that rendering and training take on this machine."""
 
 import os
 import re
@@ -7,8 +7,9 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import tyro
 from rich.console import Console
 from rich.table import Table
 
@@ -19,12 +20,13 @@ from splatax.bench.plot import plot
 from splatax.bench.scenes import Scene, framed, procedural
 from splatax.bench.timing import Timing, interleaved
 from splatax.cli.options import BackendName, parse_size, resolve_backend
-from splatax.cli.platform import device, peak_memory, versions
-from splatax.cli.results import write_json
+from splatax.cli.output import cell, say
 from splatax.errors import InputError
 from splatax.io.files import write_whole
+from splatax.runs.machine import device, peak_memory, versions
+from splatax.runs.records import write_json
 
-BIKER = {"biker": 1.0, "biker-close": 3.0}  # a trained scene of the project's test data, from two distances
+BIKER = {"biker": 1.0, "biker-close": 3.0}  # a trained scene of the test data, from two distances
 
 
 @dataclass(frozen=True)
@@ -32,21 +34,26 @@ class Bench:
     """Time projection, rasterizer, loss, Adam and the whole training step.
 
     All operations are timed in turn, round after round, in one process. Prints a table of medians
-    and minima, and writes bench.json and bench.png. "of limit" is the share of the arithmetic that
-    the rasterizer has to do in what the processor can do, measured first.
+    and minima, and writes bench.json and bench.png. "of limit" is achieved arithmetic throughput as a
+    fraction of the measured peak.
     """
 
-    out: Path = Path("runs/bench")
-    """Folder for bench.json and bench.png. Earlier ones are replaced."""
-    scenes: tuple[str, ...] = ("10k", "50k", "150k", *BIKER)
-    """Counts of Gaussians for a procedural scene (10k, 1M), splat files, or "biker" and "biker-close",
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("runs/bench")
+    """Output folder for bench.json and bench.png. Existing files are replaced."""
+    scenes: Annotated[tuple[str, ...], tyro.conf.arg(metavar="SCENE [SCENE ...]")] = (
+        "10k",
+        "50k",
+        "150k",
+        *BIKER,
+    )
+    """Numbers of Gaussians for a procedural scene (10k, 1M), splat files, or "biker" and "biker-close",
     which are found in $SPLATAX_DATA/splats."""
-    sizes: tuple[str, ...] = ("504x378",)
-    """Of images, WIDTHxHEIGHT in pixels."""
+    sizes: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WIDTHxHEIGHT [WIDTHxHEIGHT ...]")] = ("504x378",)
+    """Sizes of images in pixels."""
     backends: tuple[BackendName, ...] = ("auto",)
     """Rasterizers to compare."""
-    rounds: int = 7
-    """How often each operation is timed."""
+    rounds: Annotated[int, tyro.conf.arg(metavar="N")] = 7
+    """Number of times that each operation is timed."""
 
     def run(self) -> None:
         if self.rounds < 1:
@@ -66,10 +73,11 @@ class Bench:
                 console.print(table(results[-1]))
                 write_json(self.out / "bench.json", self.contents(results, flops))
         write_whole(self.out / "bench.png", plot(results))
-        print(f"timings {self.out / 'bench.json'}\nplot    {self.out / 'bench.png'}")
+        say(f"timings {self.out / 'bench.json'}")
+        say(f"plot    {self.out / 'bench.png'}")
 
     def contents(self, results: list[dict[str, Any]], flops: float | None) -> dict[str, Any]:
-        """Of bench.json."""
+        """Returns the contents of bench.json."""
         return {
             "date": datetime.now(UTC).isoformat(timespec="seconds"),
             "device": device(),
@@ -83,7 +91,7 @@ class Bench:
 def measure(
     scene: Scene, backends: list[str], rounds: int, flops: float | None, console: Console
 ) -> dict[str, Any]:
-    """Times one scene at one size, and sets it against what the machine could do."""
+    """Times one scene at one size, and compares the rasterizer with the machine's peak throughput."""
     by_key: dict[str, Operation] = {}
     for backend in backends:
         by_key |= {f"{name}|{backend}": operation for name, operation in operations(scene, backend).items()}
@@ -124,14 +132,14 @@ def measure(
 
 
 def table(result: dict[str, Any]) -> Table:
-    """What people read."""
+    """Returns a table of the timings of one scene."""
     used = result["peak_rss_bytes"]
     memory = f", peak memory {used / 1e9:.2f} GB" if used else ""
     title = (
         f"{result['scene']}: {result['visible']:,} of {result['gaussians']:,} Gaussians visible, "
         f"SH degree {result['sh_degree']}, {result['width']} x {result['height']}{memory}"
     )
-    drawn = Table(title=title, title_justify="left")
+    drawn = Table(title=cell(title), title_justify="left")
     for heading in ("operation", "backend"):
         drawn.add_column(heading)
     for heading in ("median, ms", "minimum, ms", "first, ms", "ratio", "of limit"):
@@ -148,7 +156,7 @@ def table(result: dict[str, Any]) -> Table:
 
 
 def scene_maker(name: str) -> Callable[[tuple[int, int]], Scene] | None:
-    """What makes a scene for an image size; None, after a line that says so, for absent test data.
+    """Returns a function that makes a scene for an image size; None, after a message, if test data is absent.
 
     Raises:
         InputError: if there is no such scene.
@@ -160,7 +168,7 @@ def scene_maker(name: str) -> Callable[[tuple[int, int]], Scene] | None:
     if name in BIKER:
         path = Path(os.environ.get("SPLATAX_DATA", "../shared/data")) / "splats" / "biker.compressed.ply"
         if not path.exists():
-            print(f"{name}: skipped, no {path}. SPLATAX_DATA names the folder of test data.")
+            say(f"{name}: skipped, no {path}. SPLATAX_DATA names the folder of test data.")
             return None
     if not path.exists():
         raise InputError(

@@ -3,45 +3,53 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
-from rich.console import Console
 from rich.progress import track
 from rich.table import Column, Table
-from rich.text import Text
 
 import splatax as sx
-from splatax.cli.display import duration
-from splatax.cli.options import BackendName, Model, background_of, load_scene, read_model, resolve_backend
-from splatax.cli.runs import FinishedRun, check_comparable, psnr_of, read_runs
-from splatax.cli.session import claim
+from splatax.cli.options import (
+    BackendName,
+    FolderOption,
+    Model,
+    background_of,
+    load_scene,
+    read_model,
+    resolve_backend,
+    shown_as,
+)
+from splatax.cli.output import cell, say, show
 from splatax.dataset import mask_of
 from splatax.errors import InputError
 from splatax.evaluation import photo_of, picture
 from splatax.io.files import write_whole
 from splatax.report.side_by_side import Curve, Lineup, Row, side_by_side
+from splatax.runs.budget import duration
+from splatax.runs.claim import claimed
+from splatax.runs.finished import FinishedRun, check_comparable, psnr_of, read_runs
 
 UNKNOWN = "-"
-NOT_OF_THE_METHOD = {"scene", "out", "overwrite", "backend", "eval_every"}  # options that change no picture
+NOT_OF_THE_METHOD = {"scene", "out", "overwrite", "backend", "eval_every"}  # options that change no image
 
 
 @dataclass(frozen=True)
 class Compare:
-    """Put finished runs of one capture side by side: numbers, curves and pictures.
+    """Compare finished runs of one capture: scores, curves and images.
 
-    Prints a table and writes compare.html, which needs nothing else.
+    Prints a table and writes compare.html, a self-contained file.
     """
 
-    runs: tyro.conf.Positional[tuple[Path, ...]]
+    runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]")]
     """Folders of two runs or more."""
-    out: Path | None = None
-    """Folder for compare.html. Without it: "compare" beside the first run."""
-    scene: Path | None = None
-    """Folder of the capture. Without it: where it was when the runs were trained."""
+    out: FolderOption = None
+    """Output folder for compare.html. By default "compare" beside the first run."""
+    scene: Annotated[Path | None, shown_as("CAPTURE")] = None
+    """Folder of the capture. By default where it was when the runs were trained."""
     backend: BackendName = "auto"
-    """Rasterizer."""
+    """Rasterizer. If the named one is unavailable, the command fails."""
 
     def run(self) -> None:
         if len(self.runs) < 2:
@@ -52,21 +60,20 @@ class Compare:
         views = [views_of(run, model, self.scene) for run, model in zip(runs, models, strict=True)]
         check_sizes(runs, views)
         out = self.out or self.runs[0].resolve().parent / "compare"
-        claim(out, overwrite=True)
-
         rows = rows_of(runs)
-        Console().print(table_of(runs, rows))
+        show(table_of(runs, rows))
         backend = resolve_backend(self.backend)
         lineups = [
             lineup(runs, models, views[0][name], backend) for name in track(runs[0].test_psnr, "rendering")
         ]
         page = side_by_side([run.name for run in runs], rows, [curve_of(run) for run in runs], lineups)
-        write_whole(out / "compare.html", page.encode())
-        print(f"compare {out / 'compare.html'}")
+        with claimed(out):
+            write_whole(out / "compare.html", page.encode())
+        say(f"compare {out / 'compare.html'}")
 
 
 def views_of(run: FinishedRun, model: Model, scene: Path | None) -> dict[str, sx.View]:
-    """The views that a run was tested on, by name.
+    """Returns the views that a run was tested on, by name.
 
     Raises:
         InputError: if the capture is not there, or lacks one of them.
@@ -100,7 +107,7 @@ def check_sizes(runs: Sequence[FinishedRun], views: Sequence[dict[str, sx.View]]
 
 
 def lineup(runs: Sequence[FinishedRun], models: Sequence[Model], view: sx.View, backend: str) -> Lineup:
-    """A test view as each run shows it.
+    """Returns a test view as each run shows it.
 
     Raises:
         InputError: if the photo is transparent, and the runs saw it over different backgrounds.
@@ -110,8 +117,8 @@ def lineup(runs: Sequence[FinishedRun], models: Sequence[Model], view: sx.View, 
     for run, background in zip(runs, backgrounds, strict=True):
         if background != backgrounds[0] and np.any(photo_of(view, background) != photo):
             raise InputError(
-                f"{run.folder}: saw {view.name}, which is transparent, over another background than "
-                f"{runs[0].folder}. Compare runs of one --background."
+                f"{run.folder}: {view.name}, which is transparent, was evaluated over a different background "
+                f"than in {runs[0].folder}. Use the same --background for both."
             )
     images = tuple(
         picture(model.gaussians, view.camera, background=background, low_pass=model.low_pass, backend=backend)
@@ -121,13 +128,13 @@ def lineup(runs: Sequence[FinishedRun], models: Sequence[Model], view: sx.View, 
 
 
 def curve_of(run: FinishedRun) -> Curve:
-    """Test PSNR over the time of training."""
+    """Returns test PSNR over training time."""
     evaluations = run.metrics["evaluations"]
     return Curve(tuple(e["seconds"] for e in evaluations), tuple(psnr_of(e) for e in evaluations))
 
 
 def rows_of(runs: Sequence[FinishedRun]) -> list[Row]:
-    """What was measured, and the options in which the runs differ."""
+    """Returns the rows of the table: the scores, and the options in which the runs differ."""
     tests = [run.metrics["test"] for run in runs]
     rows = [
         row("test PSNR, dB", [psnr_of(test) for test in tests], "{:.3f}".format, best=max),
@@ -154,7 +161,7 @@ def row(
     words: Callable[[Any], str],
     best: Callable[[Sequence[Any]], Any] | None = None,
 ) -> Row:
-    """A row of the table; what a run does not tell is unknown."""
+    """Returns a row of the table; missing values are shown as unknown."""
     known = [value for value in values if value is not None]
     chosen = best(known) if best and known and any(value != known[0] for value in known) else None
     return Row(
@@ -165,14 +172,14 @@ def row(
 
 
 def megabytes(size: int) -> str:
-    """ "12.3 MB"."""
+    """Returns a size in words, such as "12.3 MB"."""
     return f"{size / 1e6:,.1f} MB"
 
 
 def table_of(runs: Sequence[FinishedRun], rows: Sequence[Row]) -> Table:
-    """A column for each run."""
-    table = Table("", *(Column(Text(run.name), justify="right", overflow="fold") for run in runs))
+    """Returns the table, with a column for each run."""
+    table = Table("", *(Column(cell(run.name), justify="right", overflow="fold") for run in runs))
     for entry in rows:
         cells = zip(entry.cells, entry.best, strict=True)
-        table.add_row(entry.label, *(Text(cell, style="bold" if best else "") for cell, best in cells))
+        table.add_row(entry.label, *(cell(text, "bold" if best else "") for text, best in cells))
     return table

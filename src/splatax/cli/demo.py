@@ -1,55 +1,61 @@
-"""`splatax demo`: a scene out of nothing, to see that all works."""
+"""`splatax demo`: a synthetic scene, to see that everything works."""
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 from splatax import web
+from splatax.cli.options import OverwriteFlag
+from splatax.cli.output import say
 from splatax.cli.page import Page
-from splatax.cli.session import claim
 from splatax.cli.train import Train
+from splatax.cli.train_options import Limits, Method, Saving
 from splatax.demo.capture import write_capture
 from splatax.demo.dataset import PHOTOS, SIZE
 from splatax.errors import InputError
+from splatax.runs.claim import claimed_for_run
 
 TITLE = "splatax demo"
 
 
 @dataclass(frozen=True)
 class Demo:
-    """Photograph a procedural still life, train on the photos, and write a page that shows the scene.
+    """Render a synthetic still life, train on it and build its page.
 
-    Needs no data. The capture is left in OUT/capture, in COLMAP's layout; the rest is as `splatax
-    train` writes it.
+    Needs no data. OUT/capture holds the capture in COLMAP's layout; the other files are those of `splatax
+    train`.
     """
 
-    out: Path = Path("runs/demo")
-    """Folder for the capture and the results."""
-    steps: int = 2_000
-    """How many photos to learn from, one after the other."""
-    seed: int = 0
-    """Of all randomness."""
-    overwrite: bool = False
-    """Replace the results of an earlier run in the same folder."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("runs/demo")
+    """Output folder for the capture and the results."""
+    steps: Annotated[int, tyro.conf.arg(metavar="N")] = 2_000
+    """Number of training steps; each step uses one photo."""
+    seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0
+    """Random seed."""
+    overwrite: OverwriteFlag = False
+    """Replace the results of an earlier run in the output folder."""
 
     def run(self) -> None:
-        claim(self.out, self.overwrite)
         capture = self.out / "capture"
-        print(f"drawing {PHOTOS} photos of {SIZE[0]} x {SIZE[1]} pixels into {capture}")
-        write_capture(capture)
+        with claimed_for_run(self.out, self.overwrite):
+            say(f"rendering {PHOTOS} photos of {SIZE[0]} x {SIZE[1]} pixels into {capture}")
+            write_capture(capture)
         Train(
             capture,
             self.out,
             title=TITLE,
-            steps=self.steps,
-            seed=self.seed,
-            eval_every=max(self.steps // 8, 1),
             overwrite=True,
+            limits=Limits(steps=self.steps),
+            method=Method(seed=self.seed),
+            saving=Saving(eval_every=max(self.steps // 8, 1)),
         ).run()
         try:
             web.require_viewer()
         except InputError as error:
-            print(f"no page of the scene: {error}")
+            say(f"no page of the scene: {error}")
             return
         page = self.out / "scene.html"
         Page(self.out, page, scene=capture, title=TITLE, overwrite=True).run()
-        print(f"open it with a double click: {page}")
+        say(f"Done. Double-click {page} to open it.")

@@ -1,9 +1,11 @@
-"""The line that shows how training goes."""
+"""The progress of training on the terminal."""
 
 import time
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskProgressColumn, TextColumn
+
+from splatax.runs.budget import duration
 
 PLAIN_SECONDS = 10  # between lines where there is no terminal
 REFRESH_SECONDS = 0.25  # between updates of the bar
@@ -11,7 +13,7 @@ SPEED_STEPS = 50  # that the speed is averaged over
 
 
 class Display:
-    """A progress bar on a terminal, and now and then a line elsewhere. A context manager."""
+    """A progress bar on a terminal, and a line every few seconds elsewhere. A context manager."""
 
     def __init__(self, steps: int, console: Console | None = None):
         self.steps = steps
@@ -39,7 +41,7 @@ class Display:
         self._bar.stop()
 
     def announce(self, activity: str) -> None:
-        """Says what takes long before it does."""
+        """Shows what is done before the first step."""
         if self.console.is_terminal:
             self._bar.update(self._task, description=activity)
             self._bar.refresh()
@@ -71,13 +73,3 @@ class Display:
             speed = (last_step - first_step) / max(last_time - first_time, 1e-9)
             parts.append(f"{speed:.1f} steps/s  ETA {duration((self.steps - step) / speed)}")
         return "  ".join(parts)
-
-
-def duration(seconds: float) -> str:
-    """ "45 s", "3:20 min", "1:05:00 h"."""
-    seconds = round(seconds)
-    if seconds < 60:
-        return f"{seconds} s"
-    if seconds < 3600:
-        return f"{seconds // 60}:{seconds % 60:02} min"
-    return f"{seconds // 3600}:{seconds // 60 % 60:02}:{seconds % 60:02} h"

@@ -1,4 +1,4 @@
-"""`splatax doctor`: what runs here, and whether it computes what it should."""
+"""`splatax doctor`: a self-test of this installation."""
 
 import os
 import sys
@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 import splatax as sx
 from splatax import backends
 from splatax.backends.cpu import library
 from splatax.bench.scenes import procedural
-from splatax.cli.platform import device, versions
+from splatax.cli.output import complain, say, show
+from splatax.runs.machine import device, versions
 
 GAUSSIANS, SIZE = 500, (64, 48)  # of the self-test
 TOLERANCE = 1e-4  # of the largest value: float32 sums over pixels in another order
@@ -28,11 +28,11 @@ class Doctor:
     """
 
     def run(self) -> None:
-        print(f"device        {device()}; JAX runs on {jax.default_backend()}")
-        print(f"threads       {usable_threads()} usable by this process")
+        say(f"device        {device()}; JAX runs on {jax.default_backend()}")
+        say(f"threads       {usable_threads()} usable by this process")
         if library.why_unavailable(None) is None:
-            print(f"instructions  {library.best_instructions()}")
-        print("versions      " + ", ".join(f"{name} {version}" for name, version in versions().items()))
+            say(f"instructions  {library.best_instructions()}")
+        say("versions      " + ", ".join(f"{name} {version}" for name, version in versions().items()))
         table = Table("rasterizer", "state", "largest difference from the reference")
         chosen, sound = backends.resolve().name, True
         expected = image_and_gradient("reference")
@@ -45,19 +45,19 @@ class Doctor:
             sound &= error <= TOLERANCE
             state = "chosen by auto" if name == chosen else "available"
             table.add_row(name, state, f"{error:.1e}" + ("" if error <= TOLERANCE else "  WRONG"))
-        Console().print(table)
+        show(table)
         if not sound:
-            print("A rasterizer is wrong here. Please report this, with all of the above.", file=sys.stderr)
+            complain("a rasterizer is wrong here. Please report this, with all of the above.")
             sys.exit(1)
 
 
 def usable_threads() -> int:
-    """Of the processor, as far as this process may use them."""
+    """Returns the number of threads that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def image_and_gradient(backend: str) -> list[np.ndarray]:
-    """Of a small scene: the picture, and the gradient of a sum over it in scene and camera."""
+    """Returns the image of a small scene, and gradients of a sum over it with respect to scene and camera."""
     scene = procedural(GAUSSIANS, SIZE)
     weights = jnp.asarray(np.random.default_rng(0).normal(size=(SIZE[1], SIZE[0], 3)), jnp.float32)
 
@@ -70,7 +70,7 @@ def image_and_gradient(backend: str) -> list[np.ndarray]:
 
 
 def difference(actual: list[np.ndarray], expected: list[np.ndarray]) -> float:
-    """The largest, relative to the largest value of its array; infinite where one is not finite."""
+    """Returns the largest relative difference; infinite if a value is not finite."""
     errors = [
         np.abs(a - e).max() / max(np.abs(e).max(), 1e-12) for a, e in zip(actual, expected, strict=True)
     ]

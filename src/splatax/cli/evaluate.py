@@ -1,28 +1,30 @@
-"""`splatax eval`: how well a scene predicts photos."""
+"""`splatax eval`: scores of a scene on photos."""
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated
 
 import tyro
-from rich.console import Console
 from rich.table import Column, Table
-from rich.text import Text
 
 import splatax as sx
 from splatax import lpips
 from splatax.cli.options import (
     BackendName,
-    BackgroundName,
-    Downscale,
-    LowPassName,
+    BackgroundOption,
+    DownscaleOption,
+    LowPassOption,
+    PathOption,
+    Split,
     background_of,
     load_scene,
     read_model,
     resolve_backend,
 )
-from splatax.cli.results import measures_of, protocol, scores_as_json, write_json
+from splatax.cli.output import cell, say, show
 from splatax.errors import InputError
+from splatax.runs.records import write_json
+from splatax.runs.results import measures_of, protocol, scores_as_json
 
 LABELS = {"psnr": "PSNR, dB", "ssim": "SSIM", "corrected_psnr": "corrected, dB", "lpips": "LPIPS"}
 DECIMALS = {"psnr": 3, "ssim": 4, "corrected_psnr": 3, "lpips": 4}
@@ -30,32 +32,32 @@ DECIMALS = {"psnr": 3, "ssim": 4, "corrected_psnr": 3, "lpips": 4}
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Measure a scene against photos of its capture, on 8-bit images: PSNR, SSIM, LPIPS.
+    """Score a scene on held-out photos of its capture: PSNR, SSIM, LPIPS.
 
-    Masked pixels do not count. PSNR is also given after correcting colours by an affine map, which
-    is fair to photos whose exposure or white balance the scene cannot know.
-
-    What a run was trained with (size, background, low-pass) is taken from its folder unless given.
+    Scores are of 8-bit images; masked pixels do not count. PSNR is also given after an affine color
+    correction, to compensate for exposure and white-balance differences. Size, background and low-pass
+    default to the settings of the run.
     """
 
-    model: tyro.conf.Positional[Path]
+    model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")]
     """A splat file, or the folder of a run."""
-    scene: tyro.conf.Positional[Path]
-    """Folder of the capture."""
-    split: Literal["test", "train", "all"] = "test"
-    """Which photos: every 8th by name is for testing."""
-    out: Path | None = None
-    """JSON file for the scores. Without it: eval.json beside the model."""
-    lpips: Path | None = None
-    """Also measure LPIPS, with the weights in this .npz file (docs/evaluation.md says how to make it)."""
-    downscale: Downscale | None = None
-    """Divide the size of photos by this. "auto": the least that brings them to 1600 pixels."""
-    background: BackgroundName | None = None
-    """Behind the scene. Without it: as trained, else black."""
-    low_pass: LowPassName | None = None
-    """Without it: as the file says."""
+    scene: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")]
+    """Folder of the capture, or a zip file of it."""
+    split: Split = "test"
+    """Photos to score. Every 8th photo by name is held out for testing."""
+    out: PathOption = None
+    """JSON file for the scores. By default eval.json beside the model."""
+    lpips: PathOption = None
+    """Also compute LPIPS, with the weights in this .npz file (docs/evaluation.md says how to make it)."""
+    downscale: DownscaleOption = None
+    """Divide the width and height of photos by this number. "auto": the smallest factor that brings the long
+    side down to 1600 pixels. By default as in training, else "auto"."""
+    background: BackgroundOption = None
+    """Color behind the scene. By default as in training, else black."""
+    low_pass: LowPassOption = None
+    """Anti-aliasing filter. By default the one that the file names."""
     backend: BackendName = "auto"
-    """Rasterizer."""
+    """Rasterizer. If the named one is unavailable, the command fails."""
 
     def run(self) -> None:
         perceptual = lpips.read(self.lpips) if self.lpips else None
@@ -72,27 +74,24 @@ class Evaluate:
             lpips=perceptual,
         )
         how = protocol(background) | ({"lpips": perceptual.protocol} if perceptual else {})
-        console = Console()
-        console.print(table_of(scores))
-        console.print(
-            f"worst   {scores.worst.name}, {scores.worst.psnr:.3f} dB", markup=False, highlight=False
-        )
+        show(table_of(scores))
+        say(f"worst   {scores.worst.name}, {scores.worst.psnr:.3f} dB")
         masked = sum(view.mask is not None for view in views)
         for name in [*measures_of(scores), *(["masks"] if masked else [])]:
-            console.print(f"{LABELS.get(name, name)}: {how[name]}", style="dim", highlight=False)
+            show(cell(f"{LABELS.get(name, name)}: {how[name]}", "dim"))
         out = self.out or model.path.parent / "eval.json"
         contents = {"model": model.path, "scene": self.scene, "split": self.split, "protocol": how}
         write_json(out, contents | scores_as_json(scores))
-        print(f"scores  {out}")
+        say(f"scores  {out}")
 
 
 def table_of(scores: sx.Scores) -> Table:
-    """A row for each view, and one of means."""
+    """Returns a table with a row for each view, and one for the means."""
     measured = measures_of(scores)
     table = Table("view", *(Column(LABELS[name], justify="right") for name in measured))
 
     def add(label: str, measures: dict[str, float]) -> None:
-        table.add_row(Text(label), *(f"{value:.{DECIMALS[name]}f}" for name, value in measures.items()))
+        table.add_row(cell(label), *(f"{value:.{DECIMALS[name]}f}" for name, value in measures.items()))
 
     for view in scores.views:
         add(view.name, measures_of(view))
@@ -102,7 +101,7 @@ def table_of(scores: sx.Scores) -> Table:
 
 
 def views_of(dataset: sx.Dataset, split: str, scene: Path) -> tuple[sx.View, ...]:
-    """The views of a split.
+    """Returns the views of a split.
 
     Raises:
         InputError: if there are none.

@@ -1,8 +1,8 @@
-"""`splatax export`: a scene in another format, and on the way cleaned, cut, turned or thinned out."""
+"""`splatax export`: a scene in another format, optionally cleaned, cropped, moved or simplified."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import tyro
@@ -12,14 +12,18 @@ from splatax import editing, web
 from splatax.cli.evaluate import views_of
 from splatax.cli.options import (
     BackendName,
-    BackgroundName,
-    Downscale,
+    BackgroundOption,
+    DownscaleOption,
     Model,
+    OverwriteFlag,
+    TextOption,
     background_of,
     load_scene,
     read_model,
     resolve_backend,
+    shown_as,
 )
+from splatax.cli.output import say
 from splatax.cli.page import is_page, write_page
 from splatax.errors import InputError
 from splatax.io import formats
@@ -31,51 +35,55 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Export:
-    """Write a scene in another format, and edit it on the way.
+    """Convert a scene to another format, and optionally edit it.
 
-    Edits happen in this order: --merge, --clean, --crop-box and --crop-sphere (both in the scene's
+    Edits are applied in this order: --merge, --clean, --crop-box and --crop-sphere (both in the scene's
     own coordinates), --simplify, --sh-degree, --up, then --rotate, --scale and --move.
     """
 
-    model: tyro.conf.Positional[Path]
+    model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")]
     """A splat file, or the folder of a run."""
-    out: tyro.conf.Positional[Path]
-    """The file to write. Its suffix tells the format; .html makes a page, as splatax page does."""
-    scene: Path | None = None
-    """Folder of the capture: measures PSNR before and after, and tells what its cameras see. On a page,
-    they are places to look from."""
-    merge: tuple[Path, ...] = ()
-    """More splat files, in the same coordinates, to put in."""
-    clean: bool = False
-    """Leave out what is broken, too faint, floats alone or (with --scene) was never seen."""
-    crop_box: tuple[float, float, float, float, float, float] | None = None
-    """Keep what is within: lowest x y z, highest x y z."""
-    crop_sphere: tuple[float, float, float, float] | None = None
-    """Keep what is within: centre x y z, radius."""
-    simplify: int | None = None
-    """Keep so many Gaussians, those that matter most (with --scene: that its cameras see most of)."""
-    sh_degree: Literal[0, 1, 2, 3, 4] | None = None
-    """Keep view dependence up to this degree of harmonics."""
-    up: Literal["auto"] | None = None
-    """Put the scene upright, as the cameras of --scene were held."""
-    rotate: Triple = (0.0, 0.0, 0.0)
-    """Turn about the x, then the y, then the z axis, degrees."""
-    scale: float = 1.0
-    """Enlarge by this."""
-    move: Triple = (0.0, 0.0, 0.0)
-    """Move by x y z, after all else."""
-    spz_version: Literal[3, 4] | None = None
-    """Of .spz: 3 (without this) is read by most software, 4 loads faster."""
-    title: str | None = None
-    """Of a page. Without it: the name of the model's folder or file."""
-    background: BackgroundName | None = None
-    """Behind the scene, on a page. Without it: as trained, else black."""
-    downscale: Downscale | None = None
-    """Divide the size of photos by this. "auto": the least that brings them to 1600 pixels."""
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+    """The file to write. Its suffix selects the format; .html makes a page, as splatax page does."""
+    scene: Annotated[Path | None, shown_as("CAPTURE")] = None
+    """Folder of the capture, to measure PSNR before and after, and to weigh Gaussians by their visibility.
+    On a page, its cameras become viewpoints."""
+    merge: Annotated[tuple[Path, ...], shown_as("FILE [FILE ...]")] = ()
+    """Other splat files to merge in, in the same coordinate system."""
+    clean: Annotated[bool, shown_as()] = False
+    """Remove invalid, nearly transparent and isolated Gaussians and, with --scene, those that no camera
+    sees."""
+    crop_box: Annotated[tuple[float, float, float, float, float, float] | None, shown_as("X Y Z X Y Z")] = (
+        None
+    )
+    """Keep the inside of a box: its lowest x y z, then its highest."""
+    crop_sphere: Annotated[tuple[float, float, float, float] | None, shown_as("X Y Z RADIUS")] = None
+    """Keep the inside of a sphere: its center and radius."""
+    simplify: Annotated[int | None, shown_as("N")] = None
+    """Reduce to this many Gaussians, keeping the most important ones (with --scene: the most visible)."""
+    sh_degree: Annotated[Literal[0, 1, 2, 3, 4] | None, shown_as()] = None
+    """Reduce view dependence to this degree of spherical harmonics."""
+    up: Annotated[Literal["auto"] | None, shown_as()] = None
+    """Level the scene by the orientation of the cameras of --scene."""
+    rotate: Annotated[Triple, shown_as("X Y Z")] = (0.0, 0.0, 0.0)
+    """Rotate about the x, then the y, then the z axis, in degrees."""
+    scale: Annotated[float, shown_as("FACTOR")] = 1.0
+    """Scale by this factor."""
+    move: Annotated[Triple, shown_as("X Y Z")] = (0.0, 0.0, 0.0)
+    """Translate by x y z (applied last)."""
+    spz_version: Annotated[Literal[3, 4] | None, shown_as()] = None
+    """Version of a .spz file. 3, the default, is read by most software; 4 loads faster."""
+    title: TextOption = None
+    """Title of a page. By default the name of the model's folder or file."""
+    background: BackgroundOption = None
+    """Color behind the scene, on a page. By default as in training, else black."""
+    downscale: DownscaleOption = None
+    """Divide the width and height of photos by this number. "auto": the smallest factor that brings the long
+    side down to 1600 pixels. By default as in training, else "auto"."""
     backend: BackendName = "auto"
-    """Rasterizer."""
-    overwrite: bool = False
-    """Replace the file if there is one."""
+    """Rasterizer. If the named one is unavailable, the command fails."""
+    overwrite: OverwriteFlag = False
+    """Replace the file if it exists."""
 
     def run(self) -> None:
         self._check()
@@ -88,19 +96,21 @@ class Export:
         if place is not None:
             edited = place.transform(edited)
         if len(edited) == 0:
-            raise InputError(f"{self.out}: no Gaussians would be left. Crop or clean less.")
+            raise InputError(
+                f"{self.out}: this would remove every Gaussian; use a larger crop or fewer filters."
+            )
         if is_page(self.out):
             views = moved(dataset.views, place) if dataset else ()
             cameras = {view.name: view.camera for view in views}
             write_page(self.out, replace(model, gaussians=edited), cameras, self.title, self.background)
-            print(f"loses: {web.LOSES}")
+            say(f"loses: {web.LOSES}")
             return
         self._save(model, edited)
         if dataset:
             self._measure(model, dataset, place)
 
     def _check(self) -> None:
-        """Refuses what cannot work before anything is computed."""
+        """Raises InputError for options that cannot work, before anything is computed."""
         if is_page(self.out):
             web.require_viewer()
         elif not hasattr(formats.format_of(self.out), "save"):
@@ -119,15 +129,15 @@ class Export:
             raise InputError("--scale, --rotate, --move: must be finite numbers, and the scale above zero.")
 
     def _save(self, model: Model, edited: sx.Gaussians) -> None:
-        """Writes a splat file. Says how large it is and what is lost."""
+        """Writes a splat file. Prints its size and what is lost."""
         options = {"version": self.spz_version} if self.spz_version else {}
         self.out.parent.mkdir(parents=True, exist_ok=True)
         mark = formats.mark(isinstance(model.low_pass, Antialiasing))
         count = sx.save(self.out, edited, comments=(mark,), **options)
         before, after = model.path.stat().st_size, self.out.stat().st_size
         share = f"{before / after:.1f} x smaller" if after <= before else f"{after / before:.1f} x larger"
-        print(f"{self.out}: {count:,} Gaussians, {after / 1e6:.2f} MB ({share})")
-        print(f"loses: {formats.format_of(self.out).LOSES}")
+        say(f"{self.out}: {count:,} Gaussians, {after / 1e6:.2f} MB ({share})")
+        say(f"loses: {formats.format_of(self.out).LOSES}")
 
     def _selected(self, model: Model, dataset: sx.Dataset | None) -> sx.Gaussians:
         gaussians = model.gaussians
@@ -135,7 +145,7 @@ class Export:
             gaussians = editing.merge([gaussians, *map(sx.load, self.merge)])
         if self.clean:
             gaussians, removed = editing.clean(gaussians, weights=self._weights(model, gaussians, dataset))
-            print("cleaned: " + ", ".join(f"{count:,} {reason}" for reason, count in removed.items()))
+            say("cleaned: " + ", ".join(f"{count:,} {reason}" for reason, count in removed.items()))
         if self.crop_box:
             gaussians = editing.crop(gaussians, editing.Box(self.crop_box[:3], self.crop_box[3:]))
         if self.crop_sphere:
@@ -153,7 +163,7 @@ class Export:
         return editing.visible_weights(gaussians, cameras, low_pass=model.low_pass, backend=backend)
 
     def _place(self, dataset: sx.Dataset | None) -> Similarity | None:
-        """Where the scene goes; None if it stays, bit by bit."""
+        """Returns the similarity to apply to the scene; None to leave every bit as it is."""
         if not self.up and (self.rotate, self.scale, self.move) == ((0, 0, 0), 1, (0, 0, 0)):
             return None
         place = Similarity.of(degrees=self.rotate, scale=self.scale, move=self.move)
@@ -170,11 +180,11 @@ class Export:
             for g, v in ((model.gaussians, views), (sx.load(self.out), moved(views, place)))
         )
         kind = "test" if dataset.test else "training"
-        print(f"PSNR of {len(views)} {kind} views: {before.psnr:.3f} dB before, {after.psnr:.3f} dB after")
+        say(f"PSNR of {len(views)} {kind} views: {before.psnr:.3f} dB before, {after.psnr:.3f} dB after")
 
 
 def moved(views: tuple[sx.View, ...], place: Similarity | None) -> tuple[sx.View, ...]:
-    """Views whose cameras go where the scene goes."""
+    """Returns views whose cameras move with the scene."""
     if place is None:
         return views
     return tuple(replace(view, camera=place.transform_camera(view.camera)) for view in views)

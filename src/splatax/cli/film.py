@@ -1,4 +1,4 @@
-"""Films of a scene: the camera paths and the frames of `splatax render --path`."""
+"""Videos of a scene: the camera paths and the frames of `splatax render --path`."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,21 +15,21 @@ from splatax.metrics import to_8bit
 from splatax.report.pictures import depth_range, shaded
 from splatax.trajectories.shapes import focus_of
 
-SAMPLES = 8  # frames that tell the limits of depth, so that its colours mean the same in all
+SAMPLES = 8  # frames that determine the range of depth, so that its colors mean the same in all
 SHAPES = ("orbit", "spiral", "interpolate")
 DEFAULT_SIZE = (960, 540)  # where no capture tells another
 
 
 @dataclass(frozen=True)
 class Film:
-    """What to fly along, and how to show it.
+    """A camera path, and how to show the scene along it.
 
     Attributes:
         path: one of SHAPES, or a file of keyframes.
-        size: width and height of colour, pixels; None for that of the capture's photos.
-        fps: frames a second.
-        seconds: how long.
-        depth: show it in colour to the right.
+        size: width and height of the color image, pixels; None for that of the capture's photos.
+        fps: frames per second.
+        seconds: duration.
+        depth: whether to show depth, in colors, to the right.
         background: RGB.
         backend: rasterizer.
     """
@@ -43,7 +43,7 @@ class Film:
     backend: str = "auto"
 
     def cameras(self, model: Model, dataset: sx.Dataset | None) -> list[sx.Camera]:
-        """One for each frame.
+        """Returns one camera for each frame.
 
         Raises:
             InputError: if there is no such path through this capture.
@@ -67,7 +67,7 @@ class Film:
         return trajectories.tour(cameras, frames, size)
 
     def write(self, out: Path, model: Model, cameras: list[sx.Camera]) -> None:
-        """Draws all frames into a file or folder, with a progress bar."""
+        """Renders all frames into a file or folder, with a progress bar."""
         width, height = cameras[0].width, cameras[0].height
         limits = self._limits(model, cameras) if self.depth else None
         columns = (BarColumn(bar_width=None), MofNCompleteColumn(), TextColumn("ETA"), TimeRemainingColumn())
@@ -103,7 +103,7 @@ class Film:
 
 
 def default_size(dataset: sx.Dataset | None) -> tuple[int, int]:
-    """That of the first photo, less a row or column where a number is odd."""
+    """Returns the size of the first photo, less a row or column where a number is odd."""
     if dataset is None:
         return DEFAULT_SIZE
     camera = dataset.views[0].camera

@@ -1,15 +1,16 @@
-"""`splatax inspect`: the data doctor."""
+"""`splatax inspect`: problems of a capture, before training."""
 
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import tyro
-from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
-from splatax.cli.options import Downscale, load_scene
+from splatax.cli.options import Downscale, PathOption, load_scene
+from splatax.cli.output import cell, say, show
 from splatax.errors import InputError
 from splatax.inspection import examine, problems_of, seconds_to_train
 from splatax.io import images
@@ -22,19 +23,20 @@ COLORS = {"error": "red", "warning": "yellow"}
 
 @dataclass(frozen=True)
 class Inspect:
-    """Look at a capture before training: what there is, what is wrong with it, and how to repair that.
+    """Check a capture before training: list its contents, find problems and suggest fixes.
 
-    Forecasts the memory and the time that training would take here. Writes a page with all photos, and
-    cameras and points in a picture. Photos that have no poses yet are judged alone. Exit code 1 if a
-    problem stops training or will spoil the scene.
+    Forecasts the memory and the time that training would take here. Writes an HTML page that lists every
+    photo, with a plot of cameras and points. Without poses, only the photos themselves are checked. The exit
+    code is 1 if a problem would prevent training or ruin the result.
     """
 
-    scene: tyro.conf.Positional[Path]
+    scene: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")]
     """Folder of the capture or of photos, or a zip file of a capture."""
-    out: Path | None = None
-    """HTML file for the page. Without it: runs/NAME/inspect.html, with the name of the folder."""
-    downscale: Downscale = "auto"
-    """Divide the size of photos by this. "auto": the least that brings them to 1600 pixels."""
+    out: PathOption = None
+    """HTML file for the page. By default runs/NAME/inspect.html, with the name of the folder."""
+    downscale: Annotated[Downscale, tyro.conf.arg(metavar="{auto,N}")] = "auto"
+    """Divide the width and height of photos by this number. "auto": the smallest factor that brings the long
+    side down to 1600 pixels."""
 
     def run(self) -> None:
         folder = folder_of(self.scene)
@@ -44,25 +46,24 @@ class Inspect:
         dataset = load_scene(self.scene, self.downscale) if known else None
         found = examine(self.scene if known else folder, dataset)
         if dataset is not None:
-            print("measuring the speed of this machine ...")
+            say("measuring the speed of this machine ...")
             found = replace(found, seconds=seconds_to_train(dataset, found.gaussians))
         problems = problems_of(found)
-        console = Console()
         table = Table(box=None, show_header=False, pad_edge=False)
         for label, value in facts_of(found):
-            table.add_row(label, escape(value))
-        console.print(table)
-        console.print(f"\n[bold]{verdict(problems)}[/bold]")
+            table.add_row(label, cell(value))
+        show(table)
+        show(cell(f"\n{verdict(problems)}", "bold"))
         for problem in problems:
             color = COLORS[problem.severity]
-            console.print(f"[{color}]{problem.severity}[/{color}]  {escape(problem.what)}")
-            console.print(f"   -> {escape(problem.fix)}")
+            show(Text.assemble((problem.severity, color), "  ", cell(problem.what)))
+            show(cell(f"   -> {problem.fix}"))
         out = self.out or Path("runs") / self.scene.resolve().name / "inspect.html"
         try:
             out.parent.mkdir(parents=True, exist_ok=True)
             write_whole(out, capture_page(found, problems).encode())
         except OSError as error:
             raise InputError(f"{out}: cannot be written ({error.strerror}). Choose another --out.") from error
-        print(f"\npage    {out}")
+        say(f"page    {out}")
         if any(problem.severity == "error" for problem in problems):
             sys.exit(1)

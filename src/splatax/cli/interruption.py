@@ -1,4 +1,4 @@
-"""Being asked to stop, made safe: work ends between two steps, where nothing is half done."""
+"""Signals that end training safely: after the step at hand, when its state is complete."""
 
 import signal
 import sys
@@ -7,25 +7,27 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
+from splatax.cli.output import complain
+
 SIGNALS = (signal.SIGINT, signal.SIGTERM)  # Ctrl-C, and what a system sends before it shuts down
 STOPPED = 130  # exit code, as shells have it for Ctrl-C
 
 
 @contextmanager
 def resumable() -> Iterator[None]:
-    """Around work that the same command goes on with: says so when it is stopped."""
+    """Prints that the same command continues the work inside, if the user stops it."""
     try:
         yield
     except KeyboardInterrupt:
-        print("stopped. To go on: the same command again", file=sys.stderr)
+        complain("stopped. Run the same command again to resume")
         sys.exit(STOPPED)
 
 
 class Interruption:
-    """While this context is open, the first signal only asks to stop; the second one stops at once.
+    """A context manager in which the first signal only asks to stop, and the second one stops at once.
 
     Attributes:
-        requested: whether someone has asked to stop.
+        requested: whether a signal has asked to stop.
     """
 
     def __init__(self) -> None:

@@ -1,22 +1,25 @@
-"""Options that several commands share, and a model as they are given one: a file, or a run."""
+"""Options that several commands share, how they are shown, and what they name: models, captures, backends."""
 
-import json
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import jax
+import tyro
 
 import splatax as sx
 from splatax import backends
+from splatax.cli.output import say
 from splatax.errors import InputError
 from splatax.io import formats
 from splatax.projection import LOW_PASSES, LowPass
+from splatax.runs.finished import options_beside
 from splatax.training.appearance import APPEARANCES
 from splatax.training.backgrounds import BACKGROUNDS
 from splatax.training.camera_refinement import CAMERA_REFINEMENTS
+from splatax.training.recipes import PRESETS
 
 Downscale = Literal["auto"] | int
 BackendName = Literal["auto", *backends.BACKENDS]  # type: ignore[valid-type]
@@ -26,9 +29,58 @@ RefinementName = Literal[*CAMERA_REFINEMENTS]  # type: ignore[valid-type]
 LowPassName = Literal[*LOW_PASSES]  # type: ignore[valid-type]
 
 
+Value = TypeVar("Value")
+Split = Literal["test", "train", "all"]
+InitName = Literal["sfm", "random"]
+RecipeName = Literal[*PRESETS]  # type: ignore[valid-type]
+
+
+def shown_as(metavar: str | None = None) -> Any:
+    """Returns how help shows an option: what the user types, and no default, which its text says in words."""
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint="")
+
+
+OverwriteFlag = Annotated[bool, shown_as()]
+BackgroundOption = Annotated[BackgroundName | None, shown_as()]
+LowPassOption = Annotated[LowPassName | None, shown_as()]
+DownscaleOption = Annotated[Downscale | None, shown_as("{auto,N}")]
+PathOption = Annotated[Path | None, shown_as("PATH")]
+FolderOption = Annotated[Path | None, shown_as("FOLDER")]
+TextOption = Annotated[str | None, shown_as("TEXT")]
+
+
+def flag(name: str) -> str:
+    """Returns an option as the user types it, from the name of its field."""
+    return f"--{name.replace('_', '-')}"
+
+
+def given(options: Any) -> dict[str, Any]:
+    """Returns the options that are neither None nor False, by name, those in groups too."""
+    found: dict[str, Any] = {}
+    for field in fields(options):
+        value = getattr(options, field.name)
+        if is_dataclass(value):
+            found |= given(value)
+        elif value is not None and value is not False:
+            found[field.name] = value
+    return found
+
+
+def parsed(name: str, text: str, read: Callable[[str], Value]) -> Value:
+    """Returns what the text of an option stands for.
+
+    Raises:
+        InputError: naming the option, if it stands for nothing.
+    """
+    try:
+        return read(text)
+    except ValueError as error:
+        raise InputError(f"{flag(name)}: {error}.") from error
+
+
 @dataclass(frozen=True)
 class Model:
-    """A trained scene, and how it was trained where that is known."""
+    """A trained scene, and the options of the run that trained it, where they are known."""
 
     path: Path
     gaussians: sx.Gaussians
@@ -37,11 +89,11 @@ class Model:
 
 
 def read_model(path: Path, low_pass: str | None) -> Model:
-    """Reads a splat file, or the scene.ply of a run's folder, and the config.json beside it.
+    """Reads a splat file, or the scene.ply in the folder of a run, and the config.json beside it.
 
     Args:
         path: of the file or folder.
-        low_pass: the name of one to use instead of the one in the file.
+        low_pass: name of the filter to use instead of the one that the file names.
 
     Raises:
         InputError: if there is no model, or it cannot be read.
@@ -55,24 +107,20 @@ def read_model(path: Path, low_pass: str | None) -> Model:
     gaussians = sx.load(path)
     marked = formats.MIP in formats.comments(path)
     name = low_pass or ("antialiasing" if marked else "dilation")
-    try:
-        options = json.loads((path.parent / "config.json").read_text())["options"]
-    except (OSError, ValueError, KeyError):
-        options = {}
-    return Model(path, gaussians, options, LOW_PASSES[name])
+    return Model(path, gaussians, options_beside(path), LOW_PASSES[name])
 
 
 def background_of(options: Mapping[str, Any], asked: str | None = None) -> tuple[float, float, float]:
-    """RGB behind a scene: as asked for, else as a run with these options was trained, else black."""
+    """Returns the RGB behind a scene: as asked for, else of a run with these options, else black."""
     return BACKGROUNDS[asked or options.get("background") or "black"].rgb
 
 
 def parse_size(option: str, text: str) -> tuple[int, int]:
-    """Width and height from "960x540".
+    """Returns width and height from text such as "960x540".
 
     Args:
-        option: that it was given with, for the message.
-        text: of the user.
+        option: for the message.
+        text: from the user.
 
     Raises:
         InputError: if it is something else.
@@ -84,13 +132,13 @@ def parse_size(option: str, text: str) -> tuple[int, int]:
 
 
 def scene_of(model: Model) -> Path | None:
-    """The capture that a run was trained on, if it is known and where it was."""
+    """Returns the capture that a model was trained on, if it is known and still there."""
     scene = model.options.get("scene")
     return Path(scene) if scene and Path(scene).is_dir() else None
 
 
 def load_scene(scene: Path, downscale: Downscale | None, model: Model | None = None) -> sx.Dataset:
-    """Loads a capture, at the size that a model was trained at unless told otherwise."""
+    """Loads a capture, by default at the size that a model was trained at."""
     chosen = downscale
     if chosen is None:
         chosen = model.options.get("downscale", "auto") if model else "auto"
@@ -100,7 +148,7 @@ def load_scene(scene: Path, downscale: Downscale | None, model: Model | None = N
 
 
 def resolve_backend(name: str) -> str:
-    """The rasterizer to use. Says so where "auto" has to do with a slower one.
+    """Returns the rasterizer to use. Prints why if "auto" chooses a slower one.
 
     Raises:
         InputError: if it cannot run here.
@@ -110,5 +158,5 @@ def resolve_backend(name: str) -> str:
     except ValueError as error:
         raise InputError(f"--backend: {error}.") from error
     if name == "auto" and jax.default_backend() == "cpu" and chosen != "cpu":
-        print(f"using the portable rasterizer: {backends.why_unavailable('cpu')}")
+        say(f"using the portable rasterizer: {backends.why_unavailable('cpu')}")
     return chosen

@@ -1,14 +1,26 @@
-"""`splatax page`: a scene as one HTML file that opens with a double click."""
+"""`splatax page`: a scene as a single HTML file."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
 from splatax import web
 from splatax.cameras import Camera
-from splatax.cli.options import BackgroundName, LowPassName, Model, background_of, load_scene, read_model
+from splatax.cli.options import (
+    BackgroundOption,
+    LowPassOption,
+    Model,
+    OverwriteFlag,
+    TextOption,
+    background_of,
+    load_scene,
+    read_model,
+    shown_as,
+)
+from splatax.cli.output import say
 from splatax.errors import InputError
 
 SUFFIXES = (".html", ".htm")
@@ -16,26 +28,26 @@ SUFFIXES = (".html", ".htm")
 
 @dataclass(frozen=True)
 class Page:
-    """Write a page that shows a scene in any browser.
+    """Write a web page that shows a scene in any browser.
 
-    One HTML file, which needs no server and no network: double-click it, mail it, or put it on a web
-    site.
+    The page is a single HTML file: double-click it, attach it to an email, or put it on any web host.
     """
 
-    model: tyro.conf.Positional[Path]
+    model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")]
     """A splat file, or the folder of a run."""
-    out: tyro.conf.Positional[Path]
-    """The page to write, .html."""
-    scene: Path | None = None
-    """Folder of the capture: its cameras become places to look from. Without it, one looks from outside."""
-    title: str | None = None
-    """Of the page. Without it: the name of the model's folder or file."""
-    background: BackgroundName | None = None
-    """Behind the scene. Without it: as trained, else black."""
-    low_pass: LowPassName | None = None
-    """Without it: as the file says."""
-    overwrite: bool = False
-    """Replace the file if there is one."""
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE.html")]
+    """The page to write."""
+    scene: Annotated[Path | None, shown_as("CAPTURE")] = None
+    """Folder of the capture, whose cameras become viewpoints. By default the camera starts outside the
+    scene."""
+    title: TextOption = None
+    """Title of the page. By default the name of the model's folder or file."""
+    background: BackgroundOption = None
+    """Color behind the scene. By default as in training, else black."""
+    low_pass: LowPassOption = None
+    """Anti-aliasing filter. By default the one that the file names."""
+    overwrite: OverwriteFlag = False
+    """Replace the file if it exists."""
 
     def run(self) -> None:
         if not is_page(self.out):
@@ -49,14 +61,14 @@ class Page:
 
 
 def is_page(path: Path) -> bool:
-    """Whether the name is that of a page."""
+    """Returns whether a file name is that of a page."""
     return path.suffix.lower() in SUFFIXES
 
 
 def write_page(
     out: Path, model: Model, cameras: Mapping[str, Camera], title: str | None, background: str | None
 ) -> None:
-    """Writes the page of a model, and says how large it is.
+    """Writes the page of a model, and prints its size.
 
     Args:
         out: the page.
@@ -75,7 +87,7 @@ def write_page(
         low_pass=model.low_pass,
     )
     size = out.stat().st_size / 1e6
-    print(f"{out}: {len(model.gaussians):,} Gaussians, {len(cameras)} cameras, {size:.1f} MB")
+    say(f"{out}: {len(model.gaussians):,} Gaussians, {len(cameras)} cameras, {size:.1f} MB")
 
 
 def _name(path: Path) -> str:

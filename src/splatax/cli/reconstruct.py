@@ -1,22 +1,26 @@
-"""`splatax reconstruct`: from photos to a capture."""
+"""`splatax reconstruct`: from photos to a capture with camera poses."""
 
 import time
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from splatax.cli.display import PLAIN_SECONDS, duration
+from splatax.cli.display import PLAIN_SECONDS
 from splatax.cli.interruption import resumable
+from splatax.cli.options import OverwriteFlag
+from splatax.cli.output import say
 from splatax.errors import InputError
 from splatax.reconstruction import Outcome, pipeline, reconstruct
 from splatax.reconstruction.mapping import Features
 from splatax.reconstruction.pairs import Exhaustive, Pairing, Sequential, Similar
 from splatax.reconstruction.work import clear
+from splatax.runs.budget import duration
+from splatax.runs.claim import claimed
 
 PAIRINGS: dict[str, Pairing | None] = {
     "auto": None,
@@ -31,41 +35,41 @@ DETAILS: dict[str, Features | None] = {
 }
 PairingName = Literal[*PAIRINGS]  # type: ignore[valid-type]
 DetailName = Literal[*DETAILS]  # type: ignore[valid-type]
-NAMED = 5  # photos of one reason that are named
+NAMED = 5  # photos that are named for each reason
 
 
 @dataclass(frozen=True)
 class Reconstruct:
-    """Find out where photos were taken, and write a capture to train on.
+    """Estimate the camera poses of photos or of a video, and write a capture to train on.
 
     Structure from motion by COLMAP, on the CPU. Writes undistorted photos to OUT/images and the model to
-    OUT/sparse/0. Run again after Ctrl-C or a crash, it goes on where it was.
+    OUT/sparse/0. If interrupted, run the same command again to resume.
     """
 
-    photos: tyro.conf.Positional[Path]
+    photos: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PHOTOS")]
     """Folder of photos, or a video."""
-    out: Path
-    """Folder for the capture."""
-    frames: int = 200
-    """How many frames to take of a video: the sharpest of each stretch."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
+    """Output folder for the capture."""
+    frames: Annotated[int, tyro.conf.arg(metavar="N")] = 200
+    """Number of video frames to use: the sharpest in each interval."""
     matching: PairingName = "auto"
-    """Which pairs of photos to match: all, those that look alike, or those that follow each other.
-    "auto": all of up to 80 photos, those alike of more, those that follow each other of a video."""
+    """Pairs of photos to match: all ("exhaustive"), visually similar ones, or consecutive ones. "auto": all
+    pairs of up to 80 photos, similar pairs of more, consecutive frames of a video."""
     detail: DetailName = "auto"
-    """"high" looks for features four times as long, where "normal" finds too few. "auto": "normal", and
-    smaller features too of up to 30 photos."""
-    seed: int = 0
-    """Of all randomness."""
-    overwrite: bool = False
-    """Replace what an earlier call has written to the same folder."""
+    """Effort to find features. "high": takes about four times as long and finds more. "auto": normal, but
+    also small features when there are 30 photos or fewer."""
+    seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0
+    """Random seed."""
+    overwrite: OverwriteFlag = False
+    """Start over and replace the results of an earlier call in the output folder."""
 
     def run(self) -> None:
         if self.frames < pipeline.FEWEST:
             raise InputError(f"--frames: at least {pipeline.FEWEST}, not {self.frames}.")
-        if self.overwrite:
-            clear(self.photos, self.out)
         began = time.monotonic()
-        with resumable(), Stages() as stages:
+        with claimed(self.out), resumable(), Stages() as stages:
+            if self.overwrite:
+                clear(self.photos, self.out)
             outcome = reconstruct(
                 self.photos,
                 self.out,
@@ -76,13 +80,13 @@ class Reconstruct:
                 watch=stages.show,
             )
         for line in told(outcome):
-            print(line)
-        print(f"capture {self.out}, after {duration(time.monotonic() - began)}")
-        print(f"look at it: splatax inspect {self.out}      train on it: splatax train {self.out}")
+            say(line)
+        say(f"capture {self.out}, after {duration(time.monotonic() - began)}")
+        say(f"check it: splatax inspect {self.out}      train on it: splatax train {self.out}")
 
 
 def told(outcome: Outcome) -> list[str]:
-    """What became of the photos, in words."""
+    """Returns how many photos were registered, and why others were not, as lines."""
     count = len(outcome.registered)
     lines = [
         f"{count} of {count + len(outcome.rejected)} photos registered",
@@ -96,7 +100,7 @@ def told(outcome: Outcome) -> list[str]:
 
 
 class Stages:
-    """How far each stage is: bars on a terminal, lines elsewhere. A context manager."""
+    """Progress of the stages: bars on a terminal, lines elsewhere. A context manager."""
 
     def __init__(self, console: Console | None = None):
         self.console = console or Console()
@@ -120,7 +124,7 @@ class Stages:
         self._bars.stop()
 
     def show(self, stage: str, done: int, total: int) -> None:
-        """Shows a stage; on a terminal with the time that it still takes."""
+        """Shows the progress of a stage; on a terminal with the remaining time."""
         new = stage not in self._tasks
         if new:
             number = pipeline.STAGES.index(stage) + 1

@@ -1,10 +1,11 @@
-"""`splatax view`: a scene in the browser; and the same beside training."""
+"""`splatax view`: a scene in the browser, finished or while it is trained."""
 
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import tyro
@@ -14,41 +15,47 @@ from splatax import trajectories
 from splatax.cli.interruption import Interruption
 from splatax.cli.options import (
     BackendName,
-    BackgroundName,
-    LowPassName,
+    BackgroundOption,
+    LowPassOption,
     background_of,
     load_scene,
     read_model,
     resolve_backend,
     scene_of,
+    shown_as,
 )
-from splatax.report.history import History
+from splatax.cli.output import complain, say
+from splatax.runs.history import History
 from splatax.viewer.pictures import Look
 from splatax.viewer.server import LOCAL, PORT, WINDOW, Viewer
 
-RESTING_SHARE = 0.15  # of training's time, for those who look and do not move
-MOVING_SHARE = 0.5  # for those who do
+RESTING_SHARE = 0.15  # fraction of the time that drawing may take while no camera moves
+MOVING_SHARE = 0.5  # and while one moves
 LONGEST_SECONDS = 0.5  # of drawing between two steps
 
 
 @dataclass(frozen=True)
 class View:
-    """Look at a scene in the browser, drawn by the renderer that trains. Ctrl-C ends it."""
+    """Open a scene in the browser, rendered by the training engine.
 
-    model: tyro.conf.Positional[Path]
+    Press Ctrl-C to quit.
+    """
+
+    model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")]
     """A splat file, or the folder of a run."""
-    scene: tyro.conf.Positional[Path | None] = None
-    """Folder of the capture, to jump to its photos. Without it: the one that the run was trained on."""
-    port: int = PORT
-    """Where to listen; the next free one if it is taken."""
-    host: str = LOCAL[0]
-    """Who may look: this machine alone; "0.0.0.0" is all who can reach it."""
-    background: BackgroundName | None = None
-    """Behind the scene. Without it: as trained, else black."""
-    low_pass: LowPassName | None = None
-    """Without it: as the file says."""
+    scene: Annotated[Path | None, tyro.conf.Positional, shown_as("CAPTURE")] = None
+    """Folder of the capture, to jump to its photos. By default the one that the run was trained on."""
+    port: Annotated[int, tyro.conf.arg(metavar="PORT")] = PORT
+    """Port of the viewer; if it is taken, the next free one is used."""
+    host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = LOCAL[0]
+    """Address to listen on. The default accepts connections from this machine only; 0.0.0.0 accepts
+    connections from the network."""
+    background: BackgroundOption = None
+    """Color behind the scene. By default as in training, else black."""
+    low_pass: LowPassOption = None
+    """Anti-aliasing filter. By default the one that the file names."""
     backend: BackendName = "auto"
-    """Rasterizer."""
+    """Rasterizer. If the named one is unavailable, the command fails."""
 
     def run(self) -> None:
         model = read_model(self.model, self.low_pass)
@@ -68,17 +75,19 @@ class View:
 
 
 def announce(viewer: Viewer, host: str) -> None:
-    """Says where to look, and who can."""
+    """Prints the address of the viewer, and warns if others can reach it."""
     if host not in LOCAL:
-        print(f"warning: --host {host}: all who can reach this machine can look, and use the controls")
-    print(f"viewer  {viewer.address}", flush=True)
+        complain(
+            f"warning: --host {host}: everyone who can reach this machine can watch, and use the controls"
+        )
+    say(f"viewer  {viewer.address}")
 
 
 class Audience:
-    """Those who look on while a scene is trained. Without any, `waits` is all that is done.
+    """Viewers of a scene that is being trained. Without any, `waits` is the only cost.
 
     Attributes:
-        viewer: that they look into.
+        viewer: the server of the live viewer.
     """
 
     def __init__(self, viewer: Viewer):
@@ -87,7 +96,7 @@ class Audience:
 
     @property
     def waits(self) -> bool:
-        """Whether it is time to draw: of all time, that for drawing is within its share."""
+        """True if it is time to draw: drawing has taken less than its fraction of the time."""
         if not self.viewer.watched:
             return False
         share = MOVING_SHARE if self.viewer.moving else RESTING_SHARE
@@ -95,8 +104,10 @@ class Audience:
         return self.viewer.panels.paused or self._spent * (1 - share) <= share * since
 
     def show(self, progress: sx.Progress, history: History, stopped: Callable[[], bool]) -> None:
-        """Draws the scene as it is, for as long as a step took where someone moves, and for as long as
-        training is paused. All may leave: then it goes on."""
+        """Draws the scene while training is paused, and for the time of a step while a camera moves.
+
+        Returns early when all viewers have left.
+        """
         start = time.monotonic()
         step_seconds = min(start - self._ended, LONGEST_SECONDS)
         panels = self.viewer.panels
@@ -117,7 +128,7 @@ class Audience:
 
 @contextmanager
 def audience(dataset: sx.Dataset, recipe: sx.Recipe, host: str, port: int) -> Iterator[Audience]:
-    """Lets people look while a scene is trained."""
+    """Shows a scene in the browser while it is trained."""
     positions = np.stack([np.asarray(view.camera.position, np.float64) for view in dataset.views])
     points = dataset.points.positions if len(dataset.points) else positions
     look = Look("colour", None, recipe.background.rgb, recipe.low_pass, recipe.backend)

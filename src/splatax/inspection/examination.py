@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from splatax import forecast
 from splatax.dataset import Dataset, View, mask_of
 from splatax.inspection.looks import Look, looks_of
 from splatax.io import images
+from splatax.runs import forecast
 from splatax.training.recipes import room_for
 
 LOOKING, MASKS = 5.0, 24  # seconds for photos; masks that are decoded

@@ -7,8 +7,8 @@ from splatax import backends
 from splatax.bench.operations import step
 from splatax.bench.scenes import procedural
 from splatax.bench.timing import timed
-from splatax.budget import HEAVIER, coarse_size, mean_count
 from splatax.dataset import Dataset
+from splatax.runs.budget import HEAVIER, coarse_size, mean_count
 from splatax.training.recipes import COARSE, Recipe, default
 
 TIMED, ROUNDS = 1.0, 10  # seconds that steps of a size are timed for; and the most of them

@@ -1,4 +1,4 @@
-"""What the data doctor says of a capture: facts for a terminal, and one HTML file that needs nothing else."""
+"""The findings of `splatax inspect`: facts for a terminal, and a self-contained HTML file."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -11,11 +11,11 @@ from splatax.report.page import fill
 from splatax.report.plan import plan
 from splatax.training.recipes import default
 
-LENSES = 4  # that are listed
+LENSES = 4  # lenses that are listed
 
 
 def facts_of(found: Examination) -> list[tuple[str, str]]:
-    """What there is, as label and value."""
+    """Returns the contents of a capture as labels and values."""
     facts = []
     if found.dataset is None:
         facts.append(("photos", f"{len(found.photos)}, without poses"))
@@ -55,13 +55,13 @@ def facts_of(found: Examination) -> list[tuple[str, str]]:
 
 
 def roughly(seconds: int | float) -> str:
-    """ "20 minutes", "2.5 hours"."""
+    """Returns a time in words, such as "20 minutes" or "2.5 hours"."""
     minutes = max(round(seconds / 60), 1)
     return f"{minutes} minute{'s' * (minutes > 1)}" if minutes < 90 else f"{seconds / 3600:.1f} hours"
 
 
 def verdict(problems: Sequence[Problem]) -> str:
-    """ "2 problems, 1 of them serious", "1 serious problem"."""
+    """Returns the number of problems in words, such as "2 problems, 1 of them serious"."""
     serious = sum(problem.severity == "error" for problem in problems)
     if not problems:
         return "No problems found"
@@ -72,7 +72,7 @@ def verdict(problems: Sequence[Problem]) -> str:
 
 
 def capture_page(found: Examination, problems: Sequence[Problem]) -> str:
-    """The page."""
+    """Returns the page of a capture."""
     blamed = " ".join(problem.what for problem in problems)
     rows = [
         {

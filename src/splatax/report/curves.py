@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from splatax.report.history import History
+from splatax.runs.history import History
 
-SMOOTHING = 50  # steps that the loss is averaged over
+SMOOTHING = 50  # steps over which the loss is averaged
 
 
 def training_curves(history: History) -> str:
-    """Plots side by side, as SVG. That of test PSNR needs more than the evaluation at the end."""
+    """Plots loss, test PSNR (if there are two evaluations) and Gaussians side by side, as SVG."""
     from matplotlib.figure import Figure  # slow to import
 
     figure = Figure(figsize=(11, 2.8), layout="constrained")
@@ -36,7 +36,7 @@ def training_curves(history: History) -> str:
 
 
 def psnr_over_time(curves: Sequence[tuple[Sequence[float], Sequence[float]]], colors: Sequence[str]) -> str:
-    """A curve for each run, from its seconds of training and test PSNR, as SVG."""
+    """Returns a plot of test PSNR over seconds of training, with a curve for each run, as SVG."""
     from matplotlib.figure import Figure  # slow to import
 
     figure = Figure(figsize=(7, 3.2), layout="constrained")
@@ -51,14 +51,14 @@ def psnr_over_time(curves: Sequence[tuple[Sequence[float], Sequence[float]]], co
 
 
 def svg(figure: Any) -> str:
-    """A figure of matplotlib's as an element of a page."""
+    """Returns a matplotlib figure as an SVG element."""
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
     return buffer.getvalue()[buffer.getvalue().index("<svg") :]
 
 
 def smoothed(steps: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Means over windows that lie inside."""
+    """Smooths values by means over windows that lie inside."""
     window = min(SMOOTHING, len(values))
     means = np.convolve(values, np.full(window, 1 / window), mode="valid")
     return steps[window // 2 : window // 2 + len(means)], means

@@ -1,26 +1,14 @@
-"""The report of a run: one HTML file that needs nothing else."""
+"""The report of a run as HTML, and the filling of all templates."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import jinja2
 
-from splatax.dataset import Mask
-from splatax.evaluation import ViewScore
 from splatax.report.curves import training_curves
-from splatax.report.history import History
-from splatax.report.pictures import Picture, data_uri, encoded, error_map
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """A test view: its photo, and what the scene shows from there; which pixels count (None: all)."""
-
-    score: ViewScore
-    photo: Picture
-    image: Picture
-    mask: Mask | None = None
+from splatax.report.pictures import data_uri, encoded, error_map
+from splatax.runs.history import History
+from splatax.runs.results import Comparison
 
 
 def report(
@@ -31,13 +19,13 @@ def report(
     comparisons: Sequence[Comparison],
     animation: bytes,
 ) -> str:
-    """The page.
+    """Returns the report of a run as one HTML file that refers to no other.
 
     Args:
         title: of the run.
-        summary: what to know at a glance, as label and value.
+        summary: the main results, as label and value.
         notes: lines about the capture.
-        history: of the run.
+        history: record of the run.
         comparisons: of the test views, or of training views where none are held out.
         animation: a GIF of the run; may be empty.
     """
@@ -64,7 +52,7 @@ def report(
 
 
 def fill(template: str, **values: Any) -> str:
-    """A page of this package, with all that is not said to be safe escaped."""
+    """Returns a template of this package filled with values, which are escaped unless marked as safe."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("splatax.report", "."), autoescape=True, undefined=jinja2.StrictUndefined
     )

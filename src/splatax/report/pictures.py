@@ -1,4 +1,4 @@
-"""Pictures for reports: error maps, depth in colour, the progress of training as an animation."""
+"""Pictures for reports: error maps, colored depth, and the animation of a run."""
 
 import base64
 import io
@@ -6,23 +6,21 @@ from collections.abc import Sequence
 
 import matplotlib
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 from PIL import Image, ImageDraw
 
 from splatax.dataset import Mask
-
-Picture = UInt8[np.ndarray, "_ _ 3"]
+from splatax.runs.history import Picture, shrunk
 
 LARGEST_ERROR = 0.25  # of full scale: where the colours of error maps end
-REPORT_WIDTH = 720  # pixels; pictures in a report are shrunk to it
 FRAME_SECONDS, LAST_SECONDS = 0.25, 2.5  # of an animation
 LABEL_HEIGHT = 18  # pixels
 
 
 def error_map(image: Picture, photo: Picture, mask: Mask | None = None) -> Picture:
-    """Mean absolute difference over RGB: black is none, bright yellow a quarter of full scale.
+    """Returns the mean absolute difference over RGB: black is none, bright yellow a quarter of full scale.
 
-    Outside the mask, where nothing counts, it is black.
+    Pixels outside the mask do not count, and are black.
     """
     error = np.mean(np.abs(image.astype(np.float32) - photo), axis=2) / 255
     if mask is not None:
@@ -31,14 +29,14 @@ def error_map(image: Picture, photo: Picture, mask: Mask | None = None) -> Pictu
 
 
 def depth_map(depth: Float[np.ndarray, "h w"], alpha: Float[np.ndarray, "h w"]) -> Picture:
-    """Depth in colour, near is bright, from the 2nd to the 98th percentile; black where nothing is."""
+    """Returns depth as colors between its 2nd and 98th percentiles, near bright; black where it is empty."""
     return shaded(depth, alpha, depth_range(depth, alpha))
 
 
 def depth_range(
     depth: Float[np.ndarray, "..."], alpha: Float[np.ndarray, "..."]
 ) -> tuple[float, float] | None:
-    """The 2nd and the 98th percentile of depth where something is; None where nothing is."""
+    """Returns the 2nd and 98th percentiles of depth where alpha is above 0.5; None if it is nowhere."""
     covered = depth[alpha > 0.5]
     if not covered.size:
         return None
@@ -49,7 +47,7 @@ def depth_range(
 def shaded(
     depth: Float[np.ndarray, "h w"], alpha: Float[np.ndarray, "h w"], limits: tuple[float, float] | None
 ) -> Picture:
-    """Depth in colour, from bright at the nearer limit to dark at the other; black where nothing is."""
+    """Returns depth as colors, from bright at the nearer limit to dark at the other; black if empty."""
     if limits is None:
         return np.zeros((*depth.shape, 3), np.uint8)
     near, far = limits
@@ -58,12 +56,12 @@ def shaded(
 
 
 def colored(values: Float[np.ndarray, "h w"], colormap: str) -> Picture:
-    """Values in [0, 1] as colours; the rest is clipped."""
+    """Returns values in [0, 1] as colors; others are clipped."""
     return matplotlib.colormaps[colormap](np.clip(values, 0, 1), bytes=True)[..., :3]
 
 
 def animation(frames: Sequence[tuple[str, Picture]]) -> bytes:
-    """Labelled pictures as a GIF that rests on the last, no wider than those of a report."""
+    """Returns labelled pictures as a GIF that pauses on the last one."""
     images = [_labelled(label, picture) for label, picture in frames]
     durations = [FRAME_SECONDS * 1000] * (len(images) - 1) + [LAST_SECONDS * 1000]
     palettes = [image.quantize(128, dither=Image.Dither.FLOYDSTEINBERG) for image in images]
@@ -72,17 +70,8 @@ def animation(frames: Sequence[tuple[str, Picture]]) -> bytes:
     return buffer.getvalue()
 
 
-def shrunk(picture: Picture) -> Picture:
-    """A picture no wider than a report shows it."""
-    height, width = picture.shape[:2]
-    if width <= REPORT_WIDTH:
-        return picture
-    size = REPORT_WIDTH, max(round(height * REPORT_WIDTH / width), 1)
-    return np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.BOX))
-
-
 def data_uri(picture: Picture) -> str:
-    """A picture as a JPEG inside a page."""
+    """Returns a picture as a JPEG in a data URI."""
     image = Image.fromarray(shrunk(picture))
     buffer = io.BytesIO()
     image.save(buffer, "JPEG", quality=88)
@@ -90,7 +79,7 @@ def data_uri(picture: Picture) -> str:
 
 
 def encoded(contents: bytes, kind: str) -> str:
-    """A file inside a page."""
+    """Returns the contents of a file as a data URI."""
     return f"data:{kind};base64,{base64.b64encode(contents).decode()}"
 
 

@@ -16,7 +16,10 @@ DPI = 110
 
 
 def plan(dataset: Dataset) -> str:
-    """The picture, as PNG inside a page. Up is where the tops of the photos are, on average."""
+    """Plots cameras and points from above and from the side, as a PNG in a data URI.
+
+    Up is the mean direction of the tops of the photos.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure  # slow to import
 
@@ -75,7 +78,7 @@ def unit(vector: Float[np.ndarray, "3"], otherwise: Float[np.ndarray, "3"]) -> F
 def window(
     cloud: Float[np.ndarray, "n 2"], cameras: Float[np.ndarray, "m 2"]
 ) -> tuple[Float[np.ndarray, "2"], float]:
-    """Centre and half the side of a square around all cameras and most points."""
+    """Returns center and half the side of a square around all cameras and most points."""
     corners = np.percentile(cloud, SHOWN, axis=0) if len(cloud) else cameras
     corners = np.concatenate([corners, cameras])
     low, high = corners.min(axis=0), corners.max(axis=0)

@@ -10,7 +10,8 @@ from scipy.ndimage import uniform_filter
 from splatax.dataset import Mask
 from splatax.report.curves import psnr_over_time
 from splatax.report.page import fill
-from splatax.report.pictures import Picture, data_uri
+from splatax.report.pictures import data_uri
+from splatax.runs.history import Picture
 
 COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f")
 CROP_SHARE = 1 / 5  # of the shorter side of a picture
@@ -48,7 +49,7 @@ class Lineup:
 def side_by_side(
     names: Sequence[str], rows: Sequence[Row], curves: Sequence[Curve], lineups: Sequence[Lineup]
 ) -> str:
-    """The page.
+    """Returns a page that shows runs side by side.
 
     Args:
         names: of the runs; all that follows is in their order.
@@ -69,7 +70,7 @@ def side_by_side(
 
 
 def view_of(lineup: Lineup) -> dict[str, object]:
-    """What the page needs of a view."""
+    """Returns a view as the template takes it."""
     box = most_different(lineup.images, lineup.mask)
     best = max(lineup.psnr)
     return {
@@ -83,7 +84,7 @@ def view_of(lineup: Lineup) -> dict[str, object]:
 
 
 def most_different(images: Sequence[Picture], mask: Mask | None = None) -> tuple[int, int, int, int]:
-    """Where pictures differ most: left, top, right and bottom of a square inside them, pixels."""
+    """Finds where pictures differ most: left, top, right and bottom of a square in them, pixels."""
     height, width = images[0].shape[:2]
     side = max(1, round(min(height, width) * CROP_SHARE))
     spread = np.ptp(np.stack(images).astype(np.float64), axis=0).mean(axis=2)
@@ -98,14 +99,14 @@ def most_different(images: Sequence[Picture], mask: Mask | None = None) -> tuple
 
 
 def enlarged(picture: Picture, box: tuple[int, int, int, int]) -> Picture:
-    """A part of a picture with its pixels as squares."""
+    """Returns a part of a picture, enlarged without interpolation."""
     crop = Image.fromarray(picture).crop(box)
     factor = -(-CROP_SHOWN // crop.width)
     return np.array(crop.resize((crop.width * factor, crop.height * factor), Image.Resampling.NEAREST))
 
 
 def outlined(picture: Picture, box: tuple[int, int, int, int]) -> Picture:
-    """A copy with a frame around a part of it."""
+    """Returns a copy of a picture with a frame around a part of it."""
     image = Image.fromarray(picture)
     left, top, right, bottom = box
     line = max(1, image.width // 360)

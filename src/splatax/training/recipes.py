@@ -169,7 +169,7 @@ class Preset:
         build: returns the recipe, from `steps` and `max_gaussians`.
         max_gaussians: returns the default for `max_gaussians` on a capture.
         random_start: initialization for captures without points.
-        plannable: whether `splatax.budget` can choose the steps for a given time: its model of the time
+        plannable: whether `splatax.runs.budget` can choose the steps for a given time: its model of the time
             that a run takes is for this recipe.
     """
 

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from splatax.budget import (
+from splatax.runs.budget import (
     FEWEST_STEPS,
     ROUND,
     Changes,

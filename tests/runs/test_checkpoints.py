@@ -10,11 +10,11 @@ import pytest
 
 import splatax as sx
 from shortened import shortened
-from splatax.cli import checkpoints as module
-from splatax.cli.checkpoints import Checkpoints, files, packed, unpacked
 from splatax.errors import InputError
 from splatax.evaluation import Scores, ViewScore
-from splatax.report.history import Evaluation, History
+from splatax.runs import checkpoints as module
+from splatax.runs.checkpoints import Checkpoints, files
+from splatax.runs.history import Evaluation, History, packed, unpacked
 from splatax.training import checkpoint
 from splatax.training.checkpoint import Checkpoint
 from training.test_training import capture
@@ -140,11 +140,10 @@ def test_a_disk_that_fails_is_told_and_leaves_the_last_one_whole(tmp_path, at, m
     monkeypatch.setattr(os, call, fail_with(number))
     saves.save(at(5), History())
     saves._thread.join()
-    words = (
-        rf"{tmp_path}/checkpoints: .*{os.strerror(number)}.*go on from 00000004.npz: .*--resume {tmp_path}"
-    )
-    with pytest.raises(InputError, match=words):
+    words = rf"{tmp_path}/checkpoints: .*{os.strerror(number)}.*resume from 00000004.npz"
+    with pytest.raises(InputError, match=words) as refusal:
         saves.due(6)
+    assert refusal.value.options == (f"resume {tmp_path}",)
     assert [path.name for path in (tmp_path / "checkpoints").iterdir()] == ["00000004.npz"]
     assert checkpoint.read(files(tmp_path)[0]).step == 4
 
@@ -153,8 +152,9 @@ def test_a_disk_that_was_full_from_the_start_names_another_way(tmp_path, at, mon
     monkeypatch.setattr(os, "fsync", fail_with(errno.ENOSPC))
     saves = Checkpoints(tmp_path, {})
     saves.save(at(4), History())
-    with pytest.raises(InputError, match=r"No space left on device.*--checkpoint-every 0"):
+    with pytest.raises(InputError, match=r"No space left on device.*without checkpoints") as refusal:
         saves.wait()
+    assert refusal.value.options == ("checkpoint_every 0",)
     assert names(tmp_path) == []
 
 
@@ -205,7 +205,8 @@ def test_a_history_comes_back(tmp_path, at):
     with Checkpoints(tmp_path, {}) as saves:
         saves.save(at(2), history)
     header, arrays = packed(history)
-    back = unpacked(checkpoint.read(files(tmp_path)[0]))
+    saved = checkpoint.read(files(tmp_path)[0])
+    back = unpacked(dict(saved.header), dict(saved.arrays))
     again_header, again_arrays = packed(back)
     assert again_header == header
     assert back.evaluations == history.evaluations

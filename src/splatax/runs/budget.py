@@ -1,8 +1,8 @@
-"""As much training as fits into a given time: the number of steps and of Gaussians, from measured speed.
+"""Plans the number of steps and of Gaussians for a given training time, from measured speed.
 
 Before the run, the cost of a step on this machine is measured on procedural scenes, which have the
-statistics of trained ones. While it goes on, the number of steps is corrected by the clock. What came
-of it is kept as `Changes`, and repeats without a clock.
+statistics of trained ones. During the run, the number of steps is corrected by the clock. The corrections
+are recorded as `Changes`, so that the run can be repeated without a clock.
 """
 
 import re
@@ -22,18 +22,19 @@ ROUNDS = 5
 GAUSSIANS_PER_STEP = 60  # of a run; see docs/results.md
 HEAVIER = 1.45  # a step of a capture than one of a procedural scene: 1.6 measured on fern, 1.4 on fox
 COMPILING = 0.7  # seconds for each size of the arrays that a scene grows through
-FEWEST_STEPS = 200  # with fewer there is hardly a picture, so a run takes longer than asked rather
+FEWEST_STEPS = 200  # with fewer, scenes are unusable: a run rather takes longer than asked
 ROUND = 1_000  # Gaussians: plans that differ little share compiled programs
+SIZES = {"": 1.0, "b": 1.0, "kb": 1e3, "mb": 1e6, "gb": 1e9, "mib": 2.0**20, "gib": 2.0**30}
 UNITS = {"s": 1.0, "sec": 1.0, "min": 60.0, "m": 60.0, "h": 3600.0}
 
 
 def quantity(text: str, units: Mapping[str, float], wanted: str) -> float:
-    """A number with a unit, in terms of 1.
+    """Returns a number with a unit as a multiple of the base unit.
 
     Args:
-        text: of the user, in any case.
-        units: by name, in lower case.
-        wanted: what it should be, for the message.
+        text: from the user, in upper or lower case.
+        units: size of each in base units, by name in lower case.
+        wanted: what the text should be, for the message.
 
     Raises:
         ValueError: if it is something else, or not positive.
@@ -44,8 +45,27 @@ def quantity(text: str, units: Mapping[str, float], wanted: str) -> float:
     return float(match[1]) * units[match[2]]
 
 
+def duration(seconds: float) -> str:
+    """Returns a time in words: "45 s", "3:20 min", "1:05:00 h"."""
+    seconds = round(seconds)
+    if seconds < 60:
+        return f"{seconds} s"
+    if seconds < 3600:
+        return f"{seconds // 60}:{seconds % 60:02} min"
+    return f"{seconds // 3600}:{seconds // 60 % 60:02}:{seconds % 60:02} h"
+
+
+def parse_bytes(text: str) -> int:
+    """Returns the bytes that "4GB", "800MB" or "2GiB" stands for.
+
+    Raises:
+        ValueError: if it is something else, or not positive.
+    """
+    return round(quantity(text, SIZES, "a size such as 4GB or 800MB"))
+
+
 def parse_seconds(text: str) -> float:
-    """Seconds from "90s", "5min" or "1.5h".
+    """Returns the seconds that "90s", "5min" or "1.5h" stands for.
 
     Raises:
         ValueError: if it is something else, or not positive.
@@ -54,56 +74,59 @@ def parse_seconds(text: str) -> float:
 
 
 def mean_count(first: int, most: int) -> float:
-    """Of the Gaussians in the coarse part of a run of the recipe `default`: they grow by equal factors, and
-    then there are as many as in the rest of the run."""
+    """Returns the mean number of Gaussians in the coarse part of a run of the recipe `default`.
+
+    They grow by equal factors, and then stay as many as in the rest of the run.
+    """
     growing = (most - first) / np.log(most / first) if most > first else most
     return float(growing * COARSE + most * (GROWING - COARSE)) / GROWING
 
 
 @dataclass(frozen=True)
 class Cost:
-    """Seconds that a step takes: so many, and so many for each Gaussian."""
+    """Seconds that a step takes, as a linear function of the number of Gaussians."""
 
     base: float
-    each: float
+    each: float  # per Gaussian
 
     def step(self, count: int | float) -> float:
+        """Returns the seconds of a step with this many Gaussians."""
         return self.base + self.each * count
 
 
 @dataclass(frozen=True)
 class Costs:
-    """Of steps with photos of half size, and as they are."""
+    """Costs of steps with photos of half size, and of full size."""
 
     coarse: Cost
     fine: Cost
 
     def run(self, steps: int, first: int, most: int) -> float:
-        """Seconds for a run of the recipe `default` that grows to `most`."""
+        """Returns the seconds for a run of the recipe `default` that grows to `most` Gaussians."""
         programs = np.log(max(most / first, 1)) / np.log(GROWTH) + 2
         coarse, fine = self.coarse.step(mean_count(first, most)), self.fine.step(most)
         return float(steps * (coarse + (COARSE - 1) * fine) / COARSE + COMPILING * programs)
 
 
 def measured(size: tuple[int, int], recipe: Recipe) -> Costs:
-    """Times steps of procedural scenes, a few seconds in all.
+    """Measures the cost of steps on procedural scenes, which takes a few seconds.
 
     Args:
         size: of the photos, width and height in pixels.
-        recipe: with the backend that is to run.
+        recipe: of the run; its backend is timed.
     """
     fine, smaller = cost_of(size, recipe), coarse_size(size, recipe)
     return Costs(fine if smaller == size else cost_of(smaller, recipe), fine)
 
 
 def coarse_size(size: tuple[int, int], recipe: Recipe) -> tuple[int, int]:
-    """Of photos in the first steps of a recipe."""
+    """Returns the size of photos in the first steps of a recipe."""
     divisor = recipe.resolution.divisor(1, size)
     return size[0] // divisor, size[1] // divisor
 
 
 def cost_of(size: tuple[int, int], recipe: Recipe) -> Cost:
-    """Of a step with photos of a size, from two procedural scenes."""
+    """Returns the cost of a step with photos of a size, from two procedural scenes."""
     seconds = []
     for count in PROBES:
         work = operation(procedural(count, size), recipe)
@@ -115,21 +138,21 @@ def cost_of(size: tuple[int, int], recipe: Recipe) -> Cost:
 
 @dataclass(frozen=True)
 class Plan:
-    """What fits."""
+    """Numbers of steps and Gaussians that fit into a time."""
 
     steps: int
     max_gaussians: int
 
 
 def plan(costs: Costs, seconds: int | float, first: int, room: int, most: int | None = None) -> Plan:
-    """The number of steps for the time, with as many Gaussians as they can teach, or as are given.
+    """Plans the most steps that fit into a time, with as many Gaussians as they can train, or as are given.
 
     Args:
-        costs: of a step.
+        costs: of a step on this machine.
         seconds: for the whole run.
         first: Gaussians at the start.
-        room: how many there may be.
-        most: how many there shall be, if that is given.
+        room: upper limit of the number of Gaussians.
+        most: the number of Gaussians to grow to; None to choose it.
     """
 
     def gaussians(steps: int) -> int:
@@ -148,7 +171,7 @@ def plan(costs: Costs, seconds: int | float, first: int, room: int, most: int | 
 
 @dataclass
 class Changes:
-    """New totals of steps, each from a step on: the pace of a run, as it is given to `optimize`.
+    """Changes of a run's number of steps, as `optimize` takes them for its pace.
 
     Attributes:
         made: (step after which, new total), in order; it grows.
@@ -157,31 +180,31 @@ class Changes:
     made: list[tuple[int, int]] = field(default_factory=list)
 
     def __call__(self, step: int) -> int | None:
-        """The total that holds from this step on, if it changes there."""
+        """Returns the total that holds from this step on; None if it does not change there."""
         return dict(self.made).get(step)
 
     def due(self, step: int, total: int) -> bool:
-        """Whether the clock is wanted after a step."""
+        """Returns whether to call `note` after a step."""
         return False
 
     def note(self, step: int, total: int, seconds: float) -> None:
-        """Takes note of the time."""
+        """Changes the number of steps by the time, if that is needed."""
 
 
 @dataclass
 class Clock(Changes):
-    """Makes changes so that a run ends in time.
+    """Changes the number of steps so that a run ends in time.
 
     Attributes:
         seconds: for the whole run.
-        checked: the step and the time of the last look.
+        checked: step and seconds of the last call of `note`.
     """
 
     seconds: float = 0.0
     checked: tuple[int, float] = (0, 0.0)
 
     def due(self, step: int, total: int) -> bool:
-        """Every 5 percent, once the first programs are compiled."""
+        """Returns true every 5 percent of the run, once the first programs are compiled."""
         return total / 5 <= step < total and step % max(round(total / 20), 1) == 0
 
     def note(self, step: int, total: int, seconds: float) -> None:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from splatax.forecast import memory, most_gaussians, step_memory
+from splatax.runs.forecast import memory, most_gaussians, step_memory
 
 SMALL, LARGE = (504, 378), (1512, 1134)
 

@@ -1,19 +1,15 @@
-"""The checkpoints of a run: when they are due, a thread that writes them, and those that are kept."""
+"""The checkpoints of a run: when they are due, the thread that writes them, and which are kept."""
 
 import threading
 import time
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-import numpy as np
-
 from splatax.errors import InputError
-from splatax.evaluation import Scores, ViewScore
-from splatax.io.files import replacing
-from splatax.report.history import Evaluation, History
+from splatax.io.files import disk_of, replacing
+from splatax.runs.history import History, packed
 from splatax.training import checkpoint
 from splatax.training.checkpoint import Checkpoint
 from splatax.training.loop import RunState
@@ -24,7 +20,7 @@ FOLDER = "checkpoints"  # in that of the run
 class Checkpoints:
     """Saves a run while it goes on, one file at a time, and keeps the last two.
 
-    A context: leaving it waits for the file that is being written, unless the user stops at once.
+    A context manager: leaving it waits for the file that is being written, unless the user stops at once.
     """
 
     def __init__(
@@ -36,14 +32,14 @@ class Checkpoints:
         steps: int = 0,
         earlier: Path | None = None,
     ):
-        """Makes room for new ones.
+        """Removes what is in the way of new checkpoints.
 
         Args:
             run: folder of the run.
-            facts: of the run, kept in the header.
+            facts: about the run, kept in the header; see `resume.facts`.
             seconds: between checkpoints; 0 for none by the clock.
             steps: between checkpoints; 0 for none by count.
-            earlier: the one that the run goes on from. Without it, those of an earlier run are removed.
+            earlier: the checkpoint that is resumed. Without it, those of an earlier run are removed.
         """
         self.run, self.facts, self.seconds, self.steps = run, facts, seconds, steps
         self._latest = earlier
@@ -66,7 +62,7 @@ class Checkpoints:
             self._thread.join()
 
     def due(self, step: int) -> bool:
-        """Whether to save after this step.
+        """Returns whether to save after this step.
 
         Raises:
             InputError: if the last one could not be written.
@@ -78,7 +74,7 @@ class Checkpoints:
         return bool(waited or (self.steps and step % self.steps == 0))
 
     def save(self, state: RunState, history: History) -> None:
-        """Copies the run and starts to write it, after the one before.
+        """Copies the run and starts to write it, once the checkpoint before is written.
 
         Raises:
             InputError: if the one before could not be written.
@@ -91,10 +87,10 @@ class Checkpoints:
         self._saved = time.monotonic()
 
     def wait(self) -> None:
-        """Until all is written.
+        """Waits until everything is written.
 
         Raises:
-            InputError: if it could not be.
+            InputError: if it could not be written.
         """
         if self._thread:
             self._thread.join()
@@ -103,18 +99,19 @@ class Checkpoints:
             error, self._error = self._error, None
             if not isinstance(error, OSError):
                 raise error
-            way_out = (
-                f"Help that, and go on from {self._latest.name}: splatax train --resume {self.run}"
-                if self._latest
-                else "Do without checkpoints: --checkpoint-every 0"
-            )
+            if self._latest:
+                way_out = f"Help that, and resume from {self._latest.name}"
+                options = (f"resume {self.run}",)
+            else:
+                way_out, options = "Help that, or train without checkpoints", ("checkpoint_every 0",)
             raise InputError(
-                f"{self.run / FOLDER}: no checkpoint can be written ({error.strerror or error}), so training "
-                f"has stopped. {way_out}."
+                f"{self.run / FOLDER}: no checkpoint can be written ({error.strerror or error}; "
+                f"{disk_of(self.run)}), so training has stopped. {way_out}.",
+                options=options,
             ) from error
 
     def discard(self) -> None:
-        """Removes all: the run has ended."""
+        """Removes all checkpoints: the run has ended."""
         self.wait()
         for path in files(self.run):
             path.unlink()
@@ -136,38 +133,5 @@ class Checkpoints:
 
 
 def files(run: Path) -> list[Path]:
-    """Checkpoints in the folder of a run, the oldest first."""
+    """Returns the checkpoints in the folder of a run, the oldest first."""
     return sorted((run / FOLDER).glob("[0-9]*.npz"))
-
-
-def packed(history: History) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """A history as JSON values and arrays. Its losses are plain numbers from then on."""
-    history.losses[:] = [float(loss) for loss in history.losses]
-    arrays: dict[str, np.ndarray] = {
-        "history/losses": np.array(history.losses, np.float32),
-        "history/counts": np.array(history.counts, np.int64),
-    }
-    arrays |= {f"history/frame{i}": picture for i, (_, picture) in enumerate(history.frames)}
-    header: dict[str, Any] = {
-        "seconds": history.train_seconds,
-        "evaluations": [asdict(evaluation) for evaluation in history.evaluations],
-        "frames": [label for label, _ in history.frames],
-        "changes": history.changes,
-    }
-    return header, arrays
-
-
-def unpacked(saved: Checkpoint) -> History:
-    """The history that was packed."""
-    header, arrays = saved.header, saved.arrays
-    return History(
-        losses=arrays["history/losses"].tolist(),
-        counts=arrays["history/counts"].tolist(),
-        evaluations=[
-            Evaluation(e["step"], e["seconds"], Scores(tuple(ViewScore(**v) for v in e["scores"]["views"])))
-            for e in header["evaluations"]
-        ],
-        frames=[(label, arrays[f"history/frame{i}"]) for i, label in enumerate(header["frames"])],
-        train_seconds=header["seconds"],
-        changes=[(step, total) for step, total in header["changes"]],
-    )

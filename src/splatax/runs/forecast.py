@@ -1,6 +1,7 @@
-"""How much memory training takes, fitted to measured peaks of whole processes.
+"""Forecasts the memory that training takes, from a fit to measured peaks of whole processes.
 
-Measured with the cpu backend and the recipe `default`, on Linux. Memory of an accelerator is not counted.
+The peaks were measured with the cpu backend and the recipe `default`, on Linux. Memory of an accelerator is
+not counted.
 """
 
 import math
@@ -17,18 +18,20 @@ RUN_PIXEL, RUN_ROOT = 170, 2.2e6
 
 
 def photos(dataset: Dataset) -> tuple[int, int, int]:
-    """Width and height of the largest photo to train on, pixels, and bytes of all when they are decoded,
-    without alpha."""
+    """Returns width and height of the largest training photo, and the bytes of all of them when decoded.
+
+    The bytes are those of RGB, without alpha.
+    """
     sizes = [(view.camera.width, view.camera.height) for view in dataset.train]
     width, height = max(sizes, key=math.prod)
     return width, height, sum(3 * math.prod(size) for size in sizes)
 
 
 def step_memory(gaussians: int, width: int, height: int, photos_bytes: int = 0) -> int:
-    """Bytes of a process that trains a scene of one size, and does nothing else.
+    """Returns the bytes of a process that trains a scene of constant size, and does nothing else.
 
     Args:
-        gaussians: how many.
+        gaussians: their number.
         width: of a photo, pixels; of the largest where they differ.
         height: of a photo.
         photos_bytes: of all decoded photos, which stay in memory: width x height x channels of each.
@@ -37,14 +40,13 @@ def step_memory(gaussians: int, width: int, height: int, photos_bytes: int = 0) 
 
 
 def memory(gaussians: int, width: int, height: int, photos_bytes: int = 0) -> int:
-    """Bytes of a whole run of `splatax train` at its peak, for a scene that grows to so many; else as
-    `step_memory`."""
+    """Returns the peak bytes of a whole run, with evaluation and growth; arguments as of `step_memory`."""
     steps = step_memory(gaussians, width, height, photos_bytes)
     return round(steps + RUN_PIXEL * width * height + RUN_ROOT * math.sqrt(gaussians))
 
 
 def most_gaussians(memory_bytes: int, width: int, height: int, photos_bytes: int = 0) -> int:
-    """The most Gaussians for which `memory` is within so many bytes; 0 if not even one is."""
+    """Returns the largest number of Gaussians for which `memory` is at most `memory_bytes`."""
     left = memory_bytes - memory(0, width, height, photos_bytes)
     if left <= 0:
         return 0

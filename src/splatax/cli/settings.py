@@ -1,0 +1,140 @@
+"""The options of a training run with all defaults filled in: what config.json and checkpoints record."""
+
+from collections.abc import Mapping, Set
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import splatax as sx
+from splatax.cli.options import (
+    AppearanceName,
+    BackendName,
+    BackgroundName,
+    Downscale,
+    InitName,
+    LowPassName,
+    RecipeName,
+    RefinementName,
+    flag,
+    parsed,
+    resolve_backend,
+)
+from splatax.errors import InputError
+from splatax.projection import LOW_PASSES
+from splatax.runs.budget import parse_bytes, parse_seconds
+from splatax.runs.records import typed_fields
+from splatax.training.appearance import APPEARANCES
+from splatax.training.backgrounds import BACKGROUNDS
+from splatax.training.camera_refinement import CAMERA_REFINEMENTS
+from splatax.training.protocols import Initialization
+from splatax.training.recipes import PRESETS
+
+LOWEST = {
+    "steps": 1,
+    "max_gaussians": 1,
+    "seed": 0,
+    "eval_every": 0,
+    "checkpoint_every": 0,
+    "checkpoint_steps": 0,
+}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Options of a training run, by the names that they have on the command line."""
+
+    scene: Path | None = None
+    out: Path | None = None
+    title: str | None = None
+    overwrite: bool = False
+    budget: str | None = None
+    memory: str | None = None
+    steps: int = 30_000
+    max_gaussians: Literal["auto"] | int = "auto"
+    downscale: Downscale = "auto"
+    recipe: RecipeName = "default"
+    init: InitName = "sfm"
+    background: BackgroundName | None = None
+    low_pass: LowPassName = "dilation"
+    appearance: AppearanceName = "none"
+    refine: RefinementName = "none"
+    backend: BackendName = "auto"
+    seed: int = 0
+    eval_every: int = 0
+    checkpoint_every: float = 120.0
+    checkpoint_steps: int = 0
+
+    @property
+    def seconds(self) -> float | None:
+        """The time budget; None without one."""
+        return None if self.budget is None else parsed("budget", self.budget, parse_seconds)
+
+    @property
+    def memory_bytes(self) -> int | None:
+        """The limit of memory; None without one."""
+        return None if self.memory is None else parsed("memory", self.memory, parse_bytes)
+
+    def check(self) -> None:
+        """Raises InputError if a value makes no sense."""
+        for name, least in LOWEST.items():
+            value = getattr(self, name)
+            if value != "auto" and not value >= least:
+                raise InputError(f"{flag(name)}: at least {least}, not {value}.")
+        for name, read in (("budget", parse_seconds), ("memory", parse_bytes)):
+            if (text := getattr(self, name)) is not None:
+                parsed(name, text, read)
+
+    def most(self, dataset: sx.Dataset) -> int:
+        """Returns the upper limit of the number of Gaussians, apart from memory."""
+        return (
+            PRESETS[self.recipe].max_gaussians(dataset)
+            if self.max_gaussians == "auto"
+            else self.max_gaussians
+        )
+
+    def to_recipe(self, dataset: sx.Dataset) -> sx.Recipe:
+        """Returns the recipe that the options describe, for a capture.
+
+        Raises:
+            InputError: if the backend cannot run here.
+        """
+        recipe = PRESETS[self.recipe].build(steps=self.steps, max_gaussians=self.most(dataset))
+        return replace(
+            recipe,
+            initialization=self.initialization(),
+            background=BACKGROUNDS[self.background] if self.background else recipe.background,
+            appearance=APPEARANCES[self.appearance],
+            camera_refinement=CAMERA_REFINEMENTS[self.refine],
+            low_pass=LOW_PASSES[self.low_pass],
+            backend=resolve_backend(self.backend),
+            seed=self.seed,
+        )
+
+    def initialization(self) -> Initialization:
+        """Returns how the first Gaussians are created."""
+        preset = PRESETS[self.recipe]
+        return preset.random_start if self.init == "random" else preset.build(steps=self.steps).initialization
+
+
+NAMES = {field.name for field in fields(Settings)}
+
+
+def as_started(stored: Mapping[str, Any], given: Mapping[str, Any], free: Set[str]) -> Settings:
+    """Returns the settings of an earlier run, with those given now that may change.
+
+    Args:
+        stored: settings of the run, as JSON values.
+        given: on the command line.
+        free: names of settings that may change.
+
+    Raises:
+        InputError: if others are given with other values.
+    """
+    settings = Settings(**typed_fields(Settings, stored))
+    for name, value in given.items():
+        if name not in free and value != getattr(settings, name):
+            raise InputError(
+                f"{flag(name)} {value}: the run was started with {getattr(settings, name)}, and goes on with "
+                "that. Leave the option out, or start a new run."
+            )
+    return replace(settings, **given)

@@ -1,0 +1,111 @@
+"""The options of `splatax train` in groups, with their help. None stands for an option that is not given."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from splatax.cli.options import (
+    AppearanceName,
+    BackendName,
+    BackgroundName,
+    Downscale,
+    InitName,
+    LowPassName,
+    RecipeName,
+    RefinementName,
+    shown_as,
+)
+from splatax.viewer.server import LOCAL, PORT
+
+Count = Annotated[int | None, shown_as("N")]
+
+
+@dataclass(frozen=True)
+class Rerun:
+    """Runs that were made before. All other options are those of the earlier run."""
+
+    resume: Annotated[Path | None, shown_as("RUN")] = None
+    """Resume an interrupted run, given its folder or one of its checkpoint files."""
+    repeat: Annotated[Path | None, shown_as("RUN")] = None
+    """Repeat a finished run exactly, with the same options and the same number of steps, in another
+    folder."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Time, memory and size."""
+
+    budget: Annotated[str | None, shown_as("TIME")] = None
+    """Training time limit, for example 30s, 5min or 1h. Steps and Gaussians are chosen to fit by the measured
+    speed of this machine; the run can be repeated exactly with --repeat."""
+    memory: Annotated[str | None, shown_as("SIZE")] = None
+    """Limit the memory of the whole process, for example 4GB. Caps the number of Gaussians, and re-reads
+    photos that do not fit. By default the cache of decoded photos may take half of the machine's memory."""
+    steps: Count = None
+    """Number of training steps; each step uses one photo. By default 30,000."""
+    max_gaussians: Annotated[Literal["auto"] | int | None, shown_as("{auto,N}")] = None
+    """Upper limit of the number of Gaussians. "default" and "mcmc" always reach it; "classic" and "absgrad"
+    rarely do. By default "auto": as many as the photos have detail for, or 5,000,000 for the latter two."""
+    downscale: Annotated[Downscale | None, shown_as("{auto,N}")] = None
+    """Divide the width and height of photos by this number. By default "auto": the smallest factor that
+    brings the long side down to 1600 pixels."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """Training method."""
+
+    recipe: Annotated[RecipeName | None, shown_as()] = None
+    """Preset of all training settings. "classic": Kerbl et al. 2023; "absgrad": Ye et al. 2024; "mcmc":
+    Kheradmand et al. 2024; "default", the default: the best known."""
+    init: Annotated[InitName | None, shown_as()] = None
+    """Initialize from the capture's point cloud ("sfm", the default), or randomly inside the camera
+    frusta."""
+    background: Annotated[BackgroundName | None, shown_as()] = None
+    """Color behind the scene and behind transparent photos. "random": a new color every step, which prevents
+    haze; evaluation uses black. By default white for Blender's scenes, random for the recipe "default", else
+    black."""
+    low_pass: Annotated[LowPassName | None, shown_as()] = None
+    """Anti-aliasing filter. "dilation", the default: as in 3DGS; "antialiasing": as in Mip-Splatting, keeps
+    the brightness correct when zoomed out."""
+    appearance: Annotated[AppearanceName | None, shown_as()] = None
+    """Compensate differences between photos. "exposure": learns an affine color map for each training photo,
+    for exposure and white balance. By default none. Held-out photos are compared as they are, and once more
+    after a color correction."""
+    refine: Annotated[RefinementName | None, shown_as()] = None
+    """Optimize the training cameras' poses, or poses and focal lengths. Use it only if the given cameras are
+    inaccurate; accurate ones get worse. Writes the cameras to refined/sparse/0. By default none. Cameras of
+    held-out photos stay as given."""
+    backend: Annotated[BackendName | None, shown_as()] = None
+    """Rasterizer. If the named one is unavailable, the command fails instead of falling back. By default
+    "auto": the fastest one available."""
+    seed: Count = None
+    """Random seed. Runs with the same seed, machine and options produce identical scenes. By default 0."""
+
+
+@dataclass(frozen=True)
+class Saving:
+    """Evaluation and checkpoints during training."""
+
+    eval_every: Count = None
+    """Steps between evaluations of the held-out photos. By default 0: only at the end."""
+    checkpoint_every: Annotated[float | None, shown_as("SECONDS")] = None
+    """Seconds between checkpoints. The last two are kept until the run has finished. By default 120; 0: only
+    when the run is interrupted, and at its end."""
+    checkpoint_steps: Count = None
+    """Additionally save a checkpoint every N steps. By default 0: off."""
+
+
+@dataclass(frozen=True)
+class Live:
+    """The live viewer."""
+
+    view: Annotated[bool, shown_as()] = False
+    """Show the scene in the browser while it trains."""
+    host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = LOCAL[0]
+    """Address to listen on. The default accepts connections from this machine only; 0.0.0.0 accepts
+    connections from the network."""
+    port: Annotated[int, tyro.conf.arg(metavar="PORT")] = PORT
+    """Port of the live viewer; if it is taken, the next free one is used."""

@@ -1,0 +1,1 @@
+"""Training runs: folders that are claimed, filled, interrupted, resumed and read again."""

@@ -1,0 +1,97 @@
+"""The memory that a run may use, and the size of photos that suits a short one."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from splatax.dataset import Dataset
+from splatax.errors import InputError
+from splatax.runs import forecast
+from splatax.runs.machine import physical_memory
+
+ENOUGH_STEPS = 500  # of a budget: with fewer, smaller photos teach more
+SMALLEST_SIDE = 640  # pixels of the longer side that photos are not made smaller than for it
+PHOTO_FRACTION = 0.5  # of all memory, or of what is left of the limit: the most that decoded photos may take
+
+
+@dataclass(frozen=True)
+class Room:
+    """The memory of a run.
+
+    Attributes:
+        gaussians: the most that the scene may grow to.
+        photos: bytes of decoded photos that are kept; the others are read again for each step.
+        wanted: bytes of all decoded photos.
+    """
+
+    gaussians: int | float = math.inf
+    photos: int | float = math.inf
+    wanted: int = 0
+
+    def __str__(self) -> str:
+        part = f"{gigabytes(self.photos)} of {gigabytes(self.wanted)} of photos"
+        kept = "all photos" if self.photos >= self.wanted else part
+        return f"room for {self.gaussians:,} Gaussians and {kept}"
+
+
+def room_within(limit: int | None, dataset: Dataset, first: int) -> Room:
+    """Returns what a run may use of the memory.
+
+    Args:
+        limit: bytes of the whole process; None for what the machine has.
+        dataset: the capture.
+        first: Gaussians to start from.
+
+    Raises:
+        InputError: if not even the start fits.
+    """
+    width, height, wanted = forecast.photos(dataset)
+    if limit is None:
+        return Room(photos=PHOTO_FRACTION * (physical_memory() or math.inf), wanted=wanted)
+    least = forecast.memory(first, width, height)
+    if limit < least:
+        raise InputError(
+            f"{gigabytes(limit)} of memory are too little: the start alone takes about {gigabytes(least)}, "
+            f"with {first:,} Gaussians and photos of {width} x {height}. Give more, or make the photos "
+            "smaller.",
+            options=("memory", "downscale"),
+        )
+    photos = min(wanted, PHOTO_FRACTION * (limit - least))
+    return Room(forecast.most_gaussians(limit, width, height, round(photos)), photos, wanted)
+
+
+def gigabytes(size: int | float) -> str:
+    """Returns a number of bytes in words."""
+    return f"{size / 1e9:.2f} GB"
+
+
+def smaller_photos(
+    load: Callable[[int], Dataset], dataset: Dataset, steps: int
+) -> tuple[int, Dataset] | None:
+    """Returns the capture with smaller photos, and their divisor, where a budget has too few steps.
+
+    A step takes about as long as its photo has pixels. None where there are steps enough, or photos are small
+    already.
+
+    Args:
+        load: returns the capture with photos divided by a number.
+        dataset: the capture at the size that was planned for.
+        steps: that there is time for at that size.
+    """
+    found, affordable = None, pixels(dataset) * steps / ENOUGH_STEPS
+    for divisor in range(2, 9):
+        if pixels(found[1] if found else dataset) <= affordable:
+            break
+        smaller = load(divisor)
+        camera = smaller.train[0].camera
+        if max(camera.width, camera.height) < SMALLEST_SIDE:
+            break
+        if pixels(smaller) < pixels(dataset):
+            found = divisor, smaller
+    return found
+
+
+def pixels(dataset: Dataset) -> int:
+    """Returns the number of pixels of the first training photo."""
+    camera = dataset.train[0].camera
+    return camera.width * camera.height

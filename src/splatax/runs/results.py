@@ -1,0 +1,210 @@
+"""The files that a run leaves: scene.ply, metrics.json, config.json, and whatever pages are made of it."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from splatax.dataset import Dataset, Mask, View, mask_of
+from splatax.errors import InputError
+from splatax.evaluation import PROTOCOL, Scores, ViewScore, photo_of, picture, score
+from splatax.gaussians import Gaussians
+from splatax.io import formats
+from splatax.io.datasets import colmap_writing
+from splatax.io.files import explained, write_whole
+from splatax.projection import Antialiasing
+from splatax.runs.checkpoints import Checkpoints, files
+from splatax.runs.history import Evaluation, History, Picture
+from splatax.runs.machine import device, peak_memory, versions
+from splatax.runs.records import as_json, write_json
+from splatax.training.camera_refinement import FixedCameras, refined
+from splatax.training.loop import RunState
+from splatax.training.recipes import Recipe
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A photo, and the scene from the same camera.
+
+    Attributes:
+        score: of the picture.
+        photo: over the background where it is transparent.
+        image: the scene.
+        mask: which pixels count; None for all.
+    """
+
+    score: ViewScore
+    photo: Picture
+    image: Picture
+    mask: Mask | None = None
+
+
+@dataclass(frozen=True)
+class Results:
+    """A run after its last step, and the folder for its files.
+
+    Attributes:
+        title: for people.
+        dataset: the capture.
+        recipe: all settings of the training.
+        history: the record of the run.
+        last: the run after its last step.
+        options: that the run was started with, for config.json.
+        out: the folder.
+    """
+
+    title: str
+    dataset: Dataset
+    recipe: Recipe
+    history: History
+    last: RunState
+    options: Mapping[str, Any]
+    out: Path
+
+    @cached_property
+    def gaussians(self) -> Gaussians:
+        """The scene, without empty slots."""
+        return jax.tree.map(lambda leaf: jnp.array(leaf[: self.last.count]), self.last.train.gaussians)
+
+    @property
+    def refines_cameras(self) -> bool:
+        """True if the training cameras were refined, so that there is a model of them."""
+        return not isinstance(self.recipe.camera_refinement, FixedCameras)
+
+    def write(self, present: "Present") -> Scores | None:
+        """Writes all files, the scene first.
+
+        Args:
+            present: makes further files, written last.
+
+        Returns:
+            Scores of the held-out views; None if there are none.
+        """
+        mark = formats.mark(isinstance(self.recipe.low_pass, Antialiasing))
+        formats.save(self.out / "scene.ply", self.gaussians, comments=(mark,))
+        if self.refines_cameras:
+            self._write_cameras()
+        comparisons = [self._compare(view) for view in self.dataset.test or self.dataset.train]
+        test = Scores(tuple(comparison.score for comparison in comparisons)) if self.dataset.test else None
+        if test:
+            self.history.evaluations.append(Evaluation(self.history.steps, self.history.train_seconds, test))
+        write_json(self.out / "metrics.json", self.metrics(test))
+        write_json(self.out / "config.json", self.repeatable())
+        for name, contents in present(self, comparisons).items():
+            write_whole(self.out / name, contents)
+        return test
+
+    def metrics(self, test: Scores | None) -> dict[str, Any]:
+        """Returns what was measured and how, for metrics.json."""
+        return {
+            "test": scores_as_json(test) if test else None,
+            "masked_test_views": sum(view.mask is not None for view in self.dataset.test),
+            "train_seconds": self.history.train_seconds,
+            "steps": self.history.steps,
+            "interrupted": self.history.interrupted,
+            "gaussians": len(self.gaussians),
+            "bad_steps": self.history.bad_steps,
+            "broken_gaussians": self.history.broken,
+            "final_loss": float(self.history.losses[-1]),
+            "peak_rss_bytes": peak_memory(),
+            "evaluations": [
+                {"step": e.step, "seconds": e.seconds} | measures_of(e.scores)
+                for e in self.history.evaluations
+            ],
+            "protocol": protocol(self.recipe.background.rgb)
+            | {"train_seconds": "wall time of all steps, compilation included, evaluation and pictures not"},
+        }
+
+    def repeatable(self) -> dict[str, Any]:
+        """Returns everything that is needed to repeat the run, for config.json."""
+        return {
+            "options": as_json(self.options),
+            "recipe": as_json(self.recipe),
+            "changes": self.history.changes,
+            "capture": list(self.dataset.notes),
+            "device": device(),
+            "versions": versions(),
+        }
+
+    def _compare(self, view: View) -> Comparison:
+        background = self.recipe.background.rgb
+        photo = photo_of(view, background)
+        image = picture(
+            self.gaussians,
+            view.camera,
+            background=background,
+            low_pass=self.recipe.low_pass,
+            backend=self.recipe.backend,
+        )
+        mask = mask_of(view)
+        return Comparison(score(view.name, image, photo, mask), photo, image, mask)
+
+    def _write_cameras(self) -> None:
+        """Writes the cameras as a COLMAP model, those of held-out photos as they were given."""
+        state = self.last.train
+        found = refined(self.recipe.camera_refinement, state.cameras, self.dataset.train, state.extent)
+        colmap_writing.save(self.out / "refined", (*found, *self.dataset.test), self.dataset.points)
+
+
+Present = Callable[[Results, Sequence[Comparison]], Mapping[str, bytes]]  # contents of files by name
+
+
+def no_pages(results: Results, comparisons: Sequence[Comparison]) -> Mapping[str, bytes]:
+    """Makes no files."""
+    return {}
+
+
+def conclude(results: Results, checkpoints: Checkpoints, present: Present = no_pages) -> Scores | None:
+    """Writes the results of a run, and removes its checkpoints if it has made all of its steps.
+
+    Until everything is written the checkpoints stay, so that a run which fails here can be concluded again
+    from the last of them.
+
+    Args:
+        results: of the run.
+        checkpoints: of the run.
+        present: makes further files, such as `splatax.report.training.pages`.
+
+    Returns:
+        Scores of the held-out views; None if there are none.
+
+    Raises:
+        InputError: if a photo cannot be read, or a file cannot be written.
+    """
+    try:
+        scores = results.write(present)
+    except (OSError, InputError) as error:
+        why = explained(error) if isinstance(error, OSError) else str(error)
+        helps = error.options if isinstance(error, InputError) else ()
+        if not files(results.out):
+            raise InputError(why, options=helps) from error
+        raise InputError(
+            f"{why} Training is saved. Resume the run once that is mended: it only writes the results.",
+            options=(*helps, f"resume {results.out}"),
+        ) from error
+    if not results.history.interrupted:
+        checkpoints.discard()
+    return scores
+
+
+def protocol(background: tuple[float, float, float]) -> dict[str, str]:
+    """Returns how scores are made, in words."""
+    split = "every 8th photo by sorted name, from the first, is held out"
+    return {"split": split, **PROTOCOL, "background": str(background)}
+
+
+def scores_as_json(scores: Scores) -> dict[str, Any]:
+    """Returns the means, the worst view, and each view, as JSON values."""
+    worst = {"name": scores.worst.name, "psnr": scores.worst.psnr}
+    views = [{"name": view.name} | measures_of(view) for view in scores.views]
+    return measures_of(scores) | {"worst": worst, "views": views}
+
+
+def measures_of(scores: Scores | ViewScore) -> dict[str, float]:
+    """Returns all measures of one view, or the means of several; LPIPS where it was asked for."""
+    measures = {"psnr": scores.psnr, "ssim": scores.ssim, "corrected_psnr": scores.corrected_psnr}
+    return measures if scores.lpips is None else measures | {"lpips": scores.lpips}

@@ -1,0 +1,147 @@
+"""Resuming a run: its newest checkpoint, and whether everything is as it was."""
+
+import warnings
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from splatax.dataset import Dataset
+from splatax.errors import FormatError, InputError
+from splatax.runs.checkpoints import FOLDER, files
+from splatax.runs.history import History, unpacked
+from splatax.runs.machine import device, versions
+from splatax.runs.records import as_json, understood
+from splatax.training import checkpoint
+from splatax.training.checkpoint import Checkpoint
+from splatax.training.loop import RunState
+from splatax.training.recipes import Recipe
+
+DECISIVE = ("splatax", "jax", "jaxlib", "numpy", "optax")  # packages whose version decides what a step does
+
+FACTS = {"options": dict, "recipe": dict, "capture": dict, "versions": dict, "device": str}
+OTHER = "Resume from another one in its folder, or start the run again."
+
+
+@dataclass(frozen=True)
+class Earlier:
+    """A run that was stopped.
+
+    Attributes:
+        path: of a checkpoint.
+        run: folder of the run.
+        checkpoint: its contents.
+        history: the record of the run until then.
+        facts: about the run; see the function `facts`.
+    """
+
+    path: Path
+    run: Path
+    checkpoint: Checkpoint
+    history: History
+    facts: Mapping[str, Any]
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """The options that the run was started with, as JSON values.
+
+        Raises:
+            InputError: if another version of splatax or of a package that decides its steps started it.
+        """
+        self._require("versions", {name: versions()[name] for name in DECISIVE})
+        return self.facts["options"]
+
+    def state(self, recipe: Recipe, dataset: Dataset) -> RunState:
+        """Returns the run on the device. Warns if the rest cannot be the same bit for bit.
+
+        Raises:
+            InputError: if recipe or capture are not those of the run.
+        """
+        now = facts({}, recipe, dataset)
+        for subject in ("recipe", "capture"):
+            self._require(subject, now[subject])
+        if self.facts["device"] != now["device"]:
+            warnings.warn(
+                f"the run was started on {self.facts['device']}, this is {now['device']}: the result will be "
+                "as good, but not the same bit for bit",
+                stacklevel=2,
+            )
+        with understood(self.path, OTHER):
+            try:
+                return checkpoint.restore(self.checkpoint, recipe)
+            except FormatError as error:
+                raise FormatError(f"{self.path}: {error}.") from error
+
+    def _require(self, subject: str, now: Mapping[str, Any]) -> None:
+        changes = "; ".join(differences(self.facts[subject], now))
+        if changes:
+            raise InputError(
+                f"{self.path}: cannot go on, because the {subject} of the run changed: {changes}. Put it "
+                "back as it was, or start a new run."
+            )
+
+
+def facts(options: Mapping[str, Any], recipe: Recipe, dataset: Dataset) -> dict[str, Any]:
+    """Returns what a run is made of, as JSON values: the header of its checkpoints."""
+    return {
+        "options": as_json(options),
+        "recipe": as_json(recipe),
+        "capture": checkpoint.fingerprint(dataset),
+        "versions": {name: versions()[name] for name in DECISIVE},
+        "device": device(),
+    }
+
+
+def find(path: Path) -> Earlier:
+    """Returns the checkpoint at a path, or the newest one of the run in a folder.
+
+    Raises:
+        InputError: if there is none, or it is damaged.
+    """
+    if path.is_dir():
+        run, chosen = path, newest(path)
+    elif path.exists():
+        run, chosen = path.parent.parent, path
+        if path.parent.name != FOLDER or path.suffix != ".npz":
+            raise InputError(f"{path}: no checkpoint. Give the folder of a run, or a file in its {FOLDER}/.")
+    else:
+        raise InputError(f"{path}: no such run. Give the folder of a run that was stopped.")
+    try:
+        saved = checkpoint.read(chosen)
+        with understood(chosen, ""):
+            known = {name: kind(saved.header["run"][name]) for name, kind in FACTS.items()}
+            return Earlier(chosen, run, saved, unpacked(dict(saved.header), dict(saved.arrays)), known)
+    except FormatError as error:
+        older = [file for file in files(run) if file.name < chosen.name]
+        way_out = "Resume from the one before" if older else "Start the run again"
+        options = (f"resume {older[-1]}",) if older else ()
+        raise FormatError(f"{str(error).rstrip()} {way_out}.", options=options) from error
+
+
+def newest(run: Path) -> Path:
+    """Returns the latest checkpoint in the folder of a run.
+
+    Raises:
+        InputError: if there is none.
+    """
+    found = files(run)
+    if found:
+        return found[-1]
+    if (run / "report.html").exists():
+        raise InputError(f"{run}: this run has already finished; nothing to resume.")
+    if (run / "scene.ply").exists():
+        raise InputError(
+            f"{run}: holds a scene, but neither its report nor a checkpoint to write it from. Evaluate the "
+            "scene by itself, or train again.",
+            options=("overwrite",),
+        )
+    raise InputError(f"{run}: no checkpoint. If a run was stopped here before its first, start it again.")
+
+
+def differences(then: Any, now: Any, name: str = "") -> Iterator[str]:
+    """Yields what differs between two JSON values, in words."""
+    if isinstance(then, dict) and isinstance(now, dict):
+        for key in [*then, *(key for key in now if key not in then)]:
+            yield from differences(then.get(key), now.get(key), f"{name} {key}".strip())
+    elif then != now:
+        yield f"{name} was {then}, is {now}"

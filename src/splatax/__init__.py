@@ -22,6 +22,7 @@ HOMES = {  # public name -> module here that defines it
     "PointCloud": "dataset",
     "Progress": "training.loop",
     "Recipe": "training.recipes",
+    "Renderer": "rendering",
     "Rendering": "rendering",
     "Scores": "evaluation",
     "Splats": "splats",
@@ -91,6 +92,7 @@ if TYPE_CHECKING:  # the same names, for type checkers and editors; tests/test_i
     from splatax.projection import Dilation as Dilation
     from splatax.rendering import BLACK as BLACK
     from splatax.rendering import WHITE as WHITE
+    from splatax.rendering import Renderer as Renderer
     from splatax.rendering import Rendering as Rendering
     from splatax.rendering import composite as composite
     from splatax.rendering import project as project

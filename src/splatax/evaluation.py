@@ -6,15 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, UInt8
 
-from splatax import backends, metrics
-from splatax.backends.protocol import Kernels
+from splatax import metrics
 from splatax.cameras import Camera
 from splatax.dataset import View, mask_of
 from splatax.errors import DatasetError, InputError
 from splatax.gaussians import Gaussians
 from splatax.lpips import Lpips
-from splatax.projection import Dilation, LowPass
-from splatax.rendering import render
+from splatax.rendering import BackgroundLike, Renderer
 
 PROTOCOL = {  # how scores are computed, in words
     "images": "rounded to 8 bits, at the size they were loaded in",
@@ -81,19 +79,15 @@ def evaluate(
     gaussians: Gaussians,
     views: Iterable[View],
     *,
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    low_pass: LowPass = Dilation(),
-    backend: str | Kernels = backends.AUTO,
+    renderer: Renderer = Renderer(),
     lpips: Lpips | None = None,
 ) -> Scores:
     """Renders each view and compares it with its photo, inside its mask if it has one.
 
     Args:
         gaussians: the scene.
-        views: with photos; those with alpha are composited over the background.
-        background: RGB.
-        low_pass: the filter that the scene was trained with.
-        backend: see `render`.
+        views: with photos; those with alpha are composited over the renderer's background.
+        renderer: with the low-pass filter that the scene was trained with.
         lpips: the metric to compute as well; None for none.
 
     Raises:
@@ -101,8 +95,8 @@ def evaluate(
     """
     scores = []
     for view in views:
-        photo = photo_of(view, background)
-        image = picture(gaussians, view.camera, background=background, low_pass=low_pass, backend=backend)
+        photo = photo_of(view, renderer.background)
+        image = picture(gaussians, view.camera, renderer)
         scores.append(score(view.name, image, photo, mask_of(view), lpips))
     return Scores(tuple(scores))
 
@@ -132,21 +126,13 @@ def score(
 
 
 def picture(
-    gaussians: Gaussians,
-    camera: Camera,
-    *,
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    low_pass: LowPass = Dilation(),
-    backend: str | Kernels = backends.AUTO,
+    gaussians: Gaussians, camera: Camera, renderer: Renderer = Renderer()
 ) -> UInt8[np.ndarray, "h w 3"]:
     """Renders a view to 8-bit RGB."""
-    rgb = render(
-        gaussians, camera, background=np.array(background, np.float32), low_pass=low_pass, backend=backend
-    ).rgb
-    return metrics.to_8bit(np.asarray(rgb))
+    return metrics.to_8bit(np.asarray(renderer(gaussians, camera).rgb))
 
 
-def photo_of(view: View, background: tuple[float, float, float]) -> UInt8[np.ndarray, "h w 3"]:
+def photo_of(view: View, background: BackgroundLike) -> UInt8[np.ndarray, "h w 3"]:
     """Returns the photo of a view; one with alpha is composited over the background."""
     pixels = view.pixels()
     if pixels.shape[2] == 3:

@@ -4,7 +4,7 @@ The functions here are the door of the engine. They check shapes and dtypes and 
 that kernels get nothing that is malformed.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 
 import jax
@@ -26,7 +26,8 @@ from splatax.varying import vary_together
 BLACK = np.zeros(3, np.float32)
 WHITE = np.ones(3, np.float32)
 
-Background = Float[Array, "3"] | Float[Array, "h w 3"] | Float[np.ndarray, "3"] | Float[np.ndarray, "h w 3"]
+Picture = Float[Array, "h w 3"] | Float[np.ndarray, "h w 3"]
+BackgroundLike = tuple[float, float, float] | Float[Array, "3"] | Float[np.ndarray, "3"] | Picture
 
 
 @jax.tree_util.register_dataclass
@@ -47,11 +48,38 @@ class Rendering:
     features: Float[Array, "h w f"]
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Renderer:
+    """The settings of `render` as one value, which evaluation, viewers and reports carry.
+
+    It is a pytree, so it passes through `jit`. `Renderer()(scene, camera)` is `render(scene, camera)`.
+
+    Attributes:
+        background: RGB seen through what transmittance remains, one colour or one for each pixel. Traced.
+        low_pass: `Dilation(0.3)`, or `Antialiasing(0.3)` for scenes trained so. Static.
+        backend: "auto", the name of a backend, or kernels of your own. Static.
+    """
+
+    background: BackgroundLike = (0.0, 0.0, 0.0)
+    low_pass: LowPass = field(default=Dilation(), metadata={"static": True})
+    backend: str | Kernels = field(default=backends.AUTO, metadata={"static": True})
+
+    def __call__(
+        self, gaussians: Gaussians, camera: Camera, features: Float[Array, "n f"] | None = None
+    ) -> Rendering:
+        """Renders a scene; see `render`."""
+        scenes.checked(gaussians)
+        kernels = backends.resolve(self.backend, _dtype(gaussians.means))
+        splats = project(gaussians, camera, low_pass=self.low_pass, backend=kernels)
+        return rasterize(splats, background=self.background, features=features, backend=kernels)
+
+
 def render(
     gaussians: Gaussians,
     camera: Camera,
     *,
-    background: Background = BLACK,
+    background: BackgroundLike = BLACK,
     features: Float[Array, "n f"] | None = None,
     low_pass: LowPass = Dilation(),
     backend: str | Kernels = backends.AUTO,
@@ -70,10 +98,7 @@ def render(
         ValueError: if the shapes or dtypes of the arrays do not fit together, or the backend is unknown or
             not available here.
     """
-    scenes.checked(gaussians)
-    kernels = backends.resolve(backend, _dtype(gaussians.means))
-    splats = project(gaussians, camera, low_pass=low_pass, backend=kernels)
-    return rasterize(splats, background=background, features=features, backend=kernels)
+    return Renderer(background, low_pass, backend)(gaussians, camera, features)
 
 
 def project(
@@ -117,7 +142,7 @@ def _project(gaussians: Gaussians, camera: Camera, low_pass: LowPass, kernels: K
 def rasterize(
     splats: Splats,
     *,
-    background: Background = BLACK,
+    background: BackgroundLike = BLACK,
     features: Float[Array, "n f"] | None = None,
     backend: str | Kernels = backends.AUTO,
 ) -> Rendering:
@@ -130,18 +155,21 @@ def rasterize(
     if features is None:
         features = jnp.zeros((splats.means2d.shape[0], 0), splats.means2d.dtype)
     check_arrays("Splats", {"means2d": (splats.means2d, "n 2"), "features": (features, "n f")})
-    background = jnp.asarray(background, splats.means2d.dtype)
-    if background.shape not in ((3,), (splats.height, splats.width, 3)):
+    behind = jnp.asarray(background, splats.means2d.dtype)
+    if behind.shape not in ((3,), (splats.height, splats.width, 3)):
         raise ValueError(
-            f"background has shape {background.shape}. Give one colour, (3,), or one for each pixel, "
+            f"background has shape {behind.shape}. Give one colour, (3,), or one for each pixel, "
             f"{(splats.height, splats.width, 3)}."
         )
-    return _rasterize(splats, background, features, backends.resolve(backend, _dtype(splats.means2d)))
+    return _rasterize(splats, behind, features, backends.resolve(backend, _dtype(splats.means2d)))
 
 
 @partial(jax.jit, static_argnames="kernels")
 def _rasterize(
-    splats: Splats, background: Background, features: Float[Array, "n f"], kernels: Kernels
+    splats: Splats,
+    background: Float[Array, "3"] | Float[Array, "h w 3"],
+    features: Float[Array, "n f"],
+    kernels: Kernels,
 ) -> Rendering:
     channels = {"rgb": splats.colors, "depth": splats.depths[:, None], "features": features}
     widths = np.cumsum([channel.shape[1] for channel in channels.values()])
@@ -191,7 +219,9 @@ def _composite(splats: Splats, channels: Float[Array, "n c"], kernels: Kernels):
 
 
 def over(
-    premultiplied: Float[Array, "h w 3"], alpha: Float[Array, "h w"], background: Background
+    premultiplied: Float[Array, "h w 3"],
+    alpha: Float[Array, "h w"],
+    background: Float[Array, "3"] | Float[Array, "h w 3"],
 ) -> Float[Array, "h w 3"]:
     """Returns colour that is already weighted by alpha, over a background."""
     behind = background[None, None, :] if background.ndim == 1 else background

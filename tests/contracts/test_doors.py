@@ -21,7 +21,7 @@ from splatax import backends
 from splatax.backends import cpu
 from splatax.losses import Photometric
 from splatax.projection import Antialiasing, Dilation
-from splatax.rendering import composite, project, rasterize, render
+from splatax.rendering import Renderer, composite, project, rasterize, render
 
 N, SIZE = 12, (10, 7)
 CAMERA = camera_at(size=SIZE, focal=8.0)
@@ -196,6 +196,17 @@ def test_kernels_of_the_caller_take_the_place_of_a_backend():
     image = render(GAUSSIANS, CAMERA, backend=replace(portable, name="mine", composite=counted))
     assert seen == [(N, 2)]
     assert_array_equal(image.rgb, render(GAUSSIANS, CAMERA, backend="xla").rgb)
+
+
+def test_a_renderer_draws_what_render_does_and_passes_through_jit(backend):
+    renderer = Renderer((0.1, 0.2, 0.3), Antialiasing(), backend)
+    expected = render(
+        GAUSSIANS, CAMERA, background=jnp.array([0.1, 0.2, 0.3]), low_pass=Antialiasing(), backend=backend
+    )
+    assert_array_equal(renderer(GAUSSIANS, CAMERA).rgb, expected.rgb)
+    drawn = jax.jit(lambda renderer, gaussians: renderer(gaussians, CAMERA).rgb)(renderer, GAUSSIANS)
+    assert_allclose(drawn, expected.rgb, atol=1e-6)
+    assert hash(renderer) == hash(Renderer((0.1, 0.2, 0.3), Antialiasing(), backend))
 
 
 def test_the_loss_refuses_pictures_of_two_sizes():

@@ -126,8 +126,8 @@ def test_a_size_that_was_slow_once_is_tried_again():
 
 def test_colours_are_those_of_the_renderer():
     gaussians, camera = random_gaussians(), camera_at()
-    look = Look(background=(0.2, 0.4, 0.6))
-    expected = sx.render(gaussians, camera, background=np.array(look.background, np.float32)).rgb
+    look = Look(renderer=sx.Renderer((0.2, 0.4, 0.6)))
+    expected = sx.render(gaussians, camera, background=np.array([0.2, 0.4, 0.6], np.float32)).rgb
     assert_array_equal(look.picture(gaussians, camera), to_8bit(np.asarray(expected)))
 
 

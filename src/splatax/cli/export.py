@@ -160,7 +160,9 @@ class Export:
             return None
         cameras = [view.camera for view in dataset.train]
         backend = resolve_backend(self.backend)
-        return editing.visible_weights(gaussians, cameras, low_pass=model.low_pass, backend=backend)
+        return editing.visible_weights(
+            gaussians, cameras, sx.Renderer(low_pass=model.low_pass, backend=backend)
+        )
 
     def _place(self, dataset: sx.Dataset | None) -> Similarity | None:
         """Returns the similarity to apply to the scene; None to leave every bit as it is."""
@@ -174,9 +176,9 @@ class Export:
     def _measure(self, model: Model, dataset: sx.Dataset, place: Similarity | None) -> None:
         views = views_of(dataset, "test" if dataset.test else "train", self.scene or Path())
         background = background_of(model.options)
-        backend = resolve_backend(self.backend)
+        renderer = sx.Renderer(background, model.low_pass, resolve_backend(self.backend))
         before, after = (
-            sx.evaluate(g, v, background=background, low_pass=model.low_pass, backend=backend)
+            sx.evaluate(g, v, renderer=renderer)
             for g, v in ((model.gaussians, views), (sx.load(self.out), moved(views, place)))
         )
         kind = "test" if dataset.test else "training"

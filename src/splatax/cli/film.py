@@ -84,13 +84,7 @@ class Film:
                 add(picture)
 
     def _draw(self, model: Model, camera: sx.Camera) -> sx.Rendering:
-        return sx.render(
-            model.gaussians,
-            camera,
-            background=np.array(self.background, np.float32),
-            low_pass=model.low_pass,
-            backend=self.backend,
-        )
+        return sx.Renderer(self.background, model.low_pass, self.backend)(model.gaussians, camera)
 
     def _limits(self, model: Model, cameras: list[sx.Camera]) -> tuple[float, float] | None:
         width, height = (max(side // 4, 1) for side in (cameras[0].width, cameras[0].height))

@@ -93,20 +93,13 @@ class Render:
             return
         if dataset is None or scene is None:
             raise InputError(f"{self.model}: needs cameras: give the capture folder, or use --path.")
-        backend = resolve_backend(self.backend)
+        renderer = sx.Renderer(background, model.low_pass, resolve_backend(self.backend))
         views = views_of(dataset, self.split, scene)
         self._refuse_to_replace(film=False)
         files = files_of(views, self.out)
         with claimed(self.out):
             for view, paths in zip(track(views, description="rendering"), files, strict=True):
-                drawn = sx.render(
-                    model.gaussians,
-                    view.camera,
-                    background=np.array(background, np.float32),
-                    low_pass=model.low_pass,
-                    backend=backend,
-                )
-                _save(paths, drawn)
+                _save(paths, renderer(model.gaussians, view.camera))
         say(f"{len(views)} views in {self.out}")
 
     def _film(self) -> Film | None:

@@ -62,7 +62,7 @@ class View:
         scene = self.scene or scene_of(model)
         views = load_scene(scene, None, model).views if scene else ()
         background = background_of(model.options, self.background)
-        look = Look("colour", None, background, model.low_pass, resolve_backend(self.backend))
+        look = Look(renderer=sx.Renderer(background, model.low_pass, resolve_backend(self.backend)))
         means = np.asarray(model.gaussians.means, np.float64)
         start = views[0].camera if views else trajectories.overview(means, WINDOW)
         with (
@@ -131,7 +131,7 @@ def audience(dataset: sx.Dataset, recipe: sx.Recipe, host: str, port: int) -> It
     """Shows a scene in the browser while it is trained."""
     positions = np.stack([np.asarray(view.camera.position, np.float64) for view in dataset.views])
     points = dataset.points.positions if len(dataset.points) else positions
-    look = Look("colour", None, recipe.background.rgb, recipe.low_pass, recipe.backend)
+    look = Look(renderer=recipe.renderer)
     start = dataset.views[0].camera
     with Viewer(dataset.views, start, np.median(points, axis=0), look, host=host, port=port) as viewer:
         announce(viewer, host)

@@ -8,12 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from splatax import backends
 from splatax.cameras import Camera
 from splatax.gaussians import Gaussians, broken
 from splatax.math.neighbours import mean_squared_distances
-from splatax.projection import Dilation, LowPass
-from splatax.rendering import render
+from splatax.rendering import Renderer
 from splatax.splats import MIN_ALPHA
 
 NEIGHBOURS = 16  # nearest neighbours whose distance shows how isolated a Gaussian is
@@ -113,9 +111,7 @@ def simplify(
 def visible_weights(
     gaussians: Gaussians,
     cameras: Sequence[Camera],
-    *,
-    low_pass: LowPass = Dilation(),
-    backend: str = backends.AUTO,
+    renderer: Renderer = Renderer(),
 ) -> Float[np.ndarray, " n"]:
     """Returns the number of pixels that each Gaussian fills in all views: the sum of its blending weights.
 
@@ -125,14 +121,11 @@ def visible_weights(
     Args:
         gaussians: the scene.
         cameras: cameras of the views.
-        low_pass: filter that the scene was trained with.
-        backend: "auto", or the name of a rasterizer.
+        renderer: with the low-pass filter that the scene was trained with.
     """
 
     def total(channel, camera):
-        return jnp.sum(
-            render(gaussians, camera, features=channel, low_pass=low_pass, backend=backend).features
-        )
+        return jnp.sum(renderer(gaussians, camera, channel).features)
 
     channel = jnp.zeros((len(gaussians), 1), gaussians.means.dtype)
     weights = np.zeros(len(gaussians), np.float64)

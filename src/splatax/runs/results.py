@@ -131,15 +131,9 @@ class Results:
         }
 
     def _compare(self, view: View) -> Comparison:
-        background = self.recipe.background.rgb
-        photo = photo_of(view, background)
-        image = picture(
-            self.gaussians,
-            view.camera,
-            background=background,
-            low_pass=self.recipe.low_pass,
-            backend=self.recipe.backend,
-        )
+        renderer = self.recipe.renderer
+        photo = photo_of(view, renderer.background)
+        image = picture(self.gaussians, view.camera, renderer)
         mask = mask_of(view)
         return Comparison(score(view.name, image, photo, mask), photo, image, mask)
 

@@ -132,21 +132,13 @@ class Session:
         image = picture(
             progress.padded,
             (self.dataset.test or self.dataset.train)[0].camera,
-            background=self.recipe.background.rgb,
-            low_pass=self.recipe.low_pass,
-            backend=self.recipe.backend,
+            self.recipe.renderer,
         )
         label = f"step {progress.step:,}   {progress.count:,} Gaussians"
         self.history.frames.append((label, shrunk(image)))
 
     def _evaluate(self, progress: Progress) -> None:
-        scores = evaluate(
-            progress.padded,
-            self.dataset.test,
-            background=self.recipe.background.rgb,
-            low_pass=self.recipe.low_pass,
-            backend=self.recipe.backend,
-        )
+        scores = evaluate(progress.padded, self.dataset.test, renderer=self.recipe.renderer)
         self.history.evaluations.append(Evaluation(progress.step, self.history.train_seconds, scores))
 
     def _save(self, progress: Progress) -> None:

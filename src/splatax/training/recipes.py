@@ -8,6 +8,7 @@ from splatax.backends.protocol import Kernels
 from splatax.dataset import Dataset
 from splatax.losses import Photometric
 from splatax.projection import Dilation, LowPass
+from splatax.rendering import Renderer
 from splatax.training.appearance import NoAppearance
 from splatax.training.backgrounds import Random, Solid
 from splatax.training.camera_refinement import FixedCameras
@@ -58,6 +59,11 @@ class Recipe:
     low_pass: LowPass = Dilation()
     backend: str | Kernels = "auto"
     seed: int = 0
+
+    @property
+    def renderer(self) -> Renderer:
+        """Draws the scene as evaluation, reports and viewers show it."""
+        return Renderer(self.background.rgb, self.low_pass, self.backend)
 
 
 def classic(steps: int = 30_000, max_gaussians: int = 5_000_000) -> Recipe:

@@ -8,12 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt8
 
-from splatax.backends.protocol import Kernels
 from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
 from splatax.metrics import to_8bit
-from splatax.projection import Dilation, LowPass
-from splatax.rendering import render
+from splatax.rendering import Renderer
 from splatax.report.pictures import depth_map
 
 Mode = Literal["colour", "depth", "alpha"]
@@ -29,27 +27,17 @@ class Look:
         mode: the quantity to show.
         box: lowest and highest x, y, z of the crop box, world units; None to show everything.
         background: RGB behind colour, in [0, 1].
-        low_pass: filter that the scene was trained with.
-        backend: name of the rasterizer.
     """
 
     mode: Mode = "colour"
     box: tuple[Corner, Corner] | None = None
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    low_pass: LowPass = Dilation()
-    backend: str | Kernels = "auto"
+    renderer: Renderer = Renderer()
 
     def picture(self, gaussians: Gaussians, camera: Camera) -> UInt8[np.ndarray, "h w 3"]:
         """Draws the view of a camera as 8-bit RGB."""
         if self.box:
             gaussians = within(gaussians, *(jnp.array(corner, jnp.float32) for corner in self.box))
-        drawn = render(
-            gaussians,
-            camera,
-            background=np.array(self.background, np.float32),
-            low_pass=self.low_pass,
-            backend=self.backend,
-        )
+        drawn = self.renderer(gaussians, camera)
         if self.mode == "depth":
             return depth_map(np.asarray(drawn.depth), np.asarray(drawn.alpha))
         if self.mode == "alpha":

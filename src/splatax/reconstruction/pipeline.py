@@ -8,6 +8,7 @@ from pathlib import Path
 
 from splatax.errors import DatasetError, InputError
 from splatax.io.datasets.photos import counted
+from splatax.packages import required_by
 from splatax.reconstruction import diagnosis, mapping
 from splatax.reconstruction.mapping import Entry, Features
 from splatax.reconstruction.pairs import Exhaustive, Pairing, Sequential, Similar
@@ -48,6 +49,7 @@ class Outcome:
     error: float
 
 
+@required_by("splatax.reconstruction")
 def reconstruct(
     source: Path,
     out: Path,

@@ -26,8 +26,10 @@ from splatax.varying import vary_together
 BLACK = np.zeros(3, np.float32)
 WHITE = np.ones(3, np.float32)
 
-Picture = Float[Array, "h w 3"] | Float[np.ndarray, "h w 3"]
-BackgroundLike = tuple[float, float, float] | Float[Array, "3"] | Float[np.ndarray, "3"] | Picture
+BackgroundArray = Float[Array, "3"] | Float[Array, "h w 3"]
+BackgroundLike = (
+    tuple[float, float, float] | BackgroundArray | Float[np.ndarray, "3"] | Float[np.ndarray, "h w 3"]
+)
 
 
 @jax.tree_util.register_dataclass
@@ -167,7 +169,7 @@ def rasterize(
 @partial(jax.jit, static_argnames="kernels")
 def _rasterize(
     splats: Splats,
-    background: Float[Array, "3"] | Float[Array, "h w 3"],
+    background: BackgroundArray,
     features: Float[Array, "n f"],
     kernels: Kernels,
 ) -> Rendering:
@@ -221,7 +223,7 @@ def _composite(splats: Splats, channels: Float[Array, "n c"], kernels: Kernels):
 def over(
     premultiplied: Float[Array, "h w 3"],
     alpha: Float[Array, "h w"],
-    background: Float[Array, "3"] | Float[Array, "h w 3"],
+    background: BackgroundArray,
 ) -> Float[Array, "h w 3"]:
     """Returns colour that is already weighted by alpha, over a background."""
     behind = background[None, None, :] if background.ndim == 1 else background

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
-from splatax.gaussians import Gaussians
+from splatax.gaussians import Gaussians, is_sound
 
 GROWTH = 2
 SMALLEST = 1024
@@ -44,16 +44,16 @@ def with_empty_slots(gaussians: Gaussians, count: Int[Array, ""]) -> Gaussians:
 
 @jax.jit
 def without_broken(gaussians: Gaussians) -> tuple[Gaussians, Int[Array, ""]]:
-    """Replaces each Gaussian that has a number that is not finite by an empty slot.
+    """Replaces each Gaussian that is not sound, see `gaussians.is_sound`, by an empty slot.
 
     Returns:
         The scene, and the number of Gaussians that were replaced.
     """
-    logits = gaussians.opacity_logits
-    good = jnp.isfinite(logits) | jnp.isneginf(logits)
-    for leaf in (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.sh):
-        good &= jnp.isfinite(leaf).all(axis=range(1, leaf.ndim))
+    fields = (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.opacity_logits, gaussians.sh)
+    good = jax.vmap(is_sound)(*fields)
     cleared = jax.tree.map(
         lambda leaf: jnp.where(good.reshape(-1, *[1] * (leaf.ndim - 1)), leaf, 0), gaussians
     )
-    return replace(cleared, opacity_logits=jnp.where(good, logits, -jnp.inf)), jnp.sum(~good)
+    return replace(cleared, opacity_logits=jnp.where(good, gaussians.opacity_logits, -jnp.inf)), jnp.sum(
+        ~good
+    )

@@ -239,3 +239,14 @@ def test_extent_is_that_of_the_cameras_and_never_zero():
     lone = replace(dataset, train=dataset.train[:1])
     assert 3 < lone.extent < 5  # the distance of the points
     assert replace(lone, points=sx.PointCloud(*[np.zeros((0, 3), np.float32)] * 2)).extent == 1
+
+
+def test_a_change_of_the_number_of_steps_survives_a_stop_at_its_very_step():
+    dataset, recipe = capture(), sx.recipes.classic(steps=8)
+    pace = {4: 6}.get
+    *_, whole = sx.optimize(dataset, recipe, pace=pace)
+    stopped = next(p for p in sx.optimize(dataset, recipe, pace=pace) if p.step == 4)
+    *_, resumed = sx.optimize(dataset, recipe, stopped.state, pace)
+    assert whole.step == resumed.step == 6
+    for a, b in zip(jax.tree.leaves(whole.gaussians), jax.tree.leaves(resumed.gaussians), strict=True):
+        assert_array_equal(a, b)

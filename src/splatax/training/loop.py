@@ -160,6 +160,10 @@ def _steps(
     state, count = start.train, start.count
     _, refine_key = _keys(recipe)
     done, total = int(state.step), int(state.total)
+    # A run may have been saved at the step of a change, which takes effect after that step.
+    if done and (planned := pace(done)) is not None:
+        total = planned
+        state = replace(state, total=jnp.int32(total))
     if done >= total:
         raise ValueError(f"nothing left to do: {done} of {total} steps are made")
     feed = batches(dataset.train, recipe.seed, done, recipe.resolution, photo_room)

@@ -124,5 +124,5 @@ def test_odd_numbers_of_pixels_and_no_encoder_are_refused(monkeypatch, tmp_path,
     pytest.importorskip("av")
     assert "even" in refused(capsys, *arguments, "--size", "33x20")
     monkeypatch.setitem(__import__("sys").modules, "av", None)
-    assert "splatax[video]" in refused(capsys, *arguments)
+    assert "pip install '.[video]' in the checkout" in refused(capsys, *arguments)
     assert list(tmp_path.iterdir()) == []

@@ -55,7 +55,7 @@ def test_a_scene_returns_within_the_tolerance_that_the_format_states(tmp_path, s
     module = formats.FORMATS[suffix]
     original = scene(degree=degree)
     if degree > module.MAX_SH_DEGREE:
-        with pytest.raises(FormatError, match=f"--sh-degree {module.MAX_SH_DEGREE}"):
+        with pytest.raises(FormatError, match=f"Reduce it to degree {module.MAX_SH_DEGREE}"):
             sx.save(tmp_path / f"scene{suffix}", original)
         return
     sx.save(tmp_path / f"scene{suffix}", original)

@@ -1,4 +1,4 @@
-"""One wrapper for all readers: whatever a damaged file makes the code beneath it raise is one error."""
+"""The wrapper of all readers, which turns every exception that a damaged file causes into one error."""
 
 import errno
 from collections.abc import Iterator
@@ -13,13 +13,13 @@ from splatax.packages import MissingPackageError, required_by
 def blamed_on(path: Path, what: str, way_out: str, kind: type[InputError]) -> Iterator[None]:
     """Turns exceptions into an error that names the file.
 
-    Three kinds of exceptions pass as they are: the error that is asked for, which says more, a package that
-    is not installed, and an `OSError` of the file system, which is not the file's fault. The last gets the
-    file's name if it has none.
+    Three kinds of exceptions pass unchanged: an error of the requested kind, whose message is more specific,
+    the error about a package that is not installed, and an `OSError` of the file system, which is not the
+    file's fault. The last gets the file's name if it has none.
 
     Args:
-        path: the file that is read.
-        what: the sentence about it, such as "the photo is damaged". The reason follows in parentheses.
+        path: file that is read.
+        what: sentence about the file, such as "the photo is damaged". The reason follows in parentheses.
         way_out: a sentence, such as "Copy it again."
         kind: the error to raise.
 
@@ -42,12 +42,12 @@ def blamed_on(path: Path, what: str, way_out: str, kind: type[InputError]) -> It
 
 
 def reason_of(error: Exception) -> str:
-    """Returns an exception's message as one short line, with its kind where the message alone says little."""
+    """Returns an exception's message as one short line, with its type if the message alone is unclear."""
     first = next((line for line in str(error).splitlines() if line.strip()), "").strip().rstrip(".")
     tells = isinstance(error, OSError | ValueError | RuntimeError | MemoryError) and first
     return shown(first if tells else f"{type(error).__name__}: {first}".removesuffix(": "))
 
 
 def _of_the_file_system(error: OSError) -> bool:
-    """EINVAL is the file's fault: its own offsets, followed by a seek, lead before its beginning."""
+    """Returns whether the file system failed. EINVAL means that offsets in the file lead before its start."""
     return error.errno not in (None, errno.EINVAL)

@@ -1,8 +1,8 @@
 """Reads, measures and writes photos and masks.
 
-Files are opened as the formats in `FORMATS` alone: Pillow knows formats that start other programs. Memory is
-bounded before anything is decoded. Pillow's own limit counts pixels, whatever the machine, and refuses the
-photos of phones; the rule here is `MEMORY_SHARE` of the machine's memory.
+Only the formats in `FORMATS` are opened, because Pillow has formats that start other programs. Memory is
+bounded before anything is decoded. Pillow's own limit is a number of pixels that does not depend on the
+machine, and it refuses the photos of phones. Here one photo may take 1 / `MEMORY_SHARE` of the memory.
 """
 
 import io
@@ -25,45 +25,46 @@ if TYPE_CHECKING:
     from PIL import Image
 
 SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"}
-FORMATS = ("JPEG", "PNG", "BMP", "TIFF", "WEBP", "HEIF")  # the last only with pillow-heif
-BYTES_PER_PIXEL = 8  # peak of `read`, measured with 144 megapixels: 4 in Pillow, 3 or 4 in the result
-BYTES_OF_FORMAT = {"WEBP": 18, "TIFF": 12, "HEIF": 18}  # decoders that hold more copies
-BYTES_PER_COEFFICIENT = 2  # progressive JPEG: all coefficients of the full size are kept, even for a draft
+FORMATS = ("JPEG", "PNG", "BMP", "TIFF", "WEBP", "HEIF")  # HEIF needs pillow-heif
+BYTES_PER_PIXEL = 8  # peak of `read`, measured at 144 megapixels: 4 in Pillow, 3 or 4 in the result
+BYTES_OF_FORMAT = {"WEBP": 18, "TIFF": 12, "HEIF": 18}  # bytes per pixel of decoders that hold more copies
+BYTES_PER_COEFFICIENT = 2  # progressive JPEG keeps the coefficients of the full size, even for a draft
 MEMORY_SHARE = 4  # one photo may take the machine's memory divided by this
 DRAFTS = (1, 2, 4, 8)  # divisors of the size at which a JPEG can be decoded
-ROWS = 256  # of pixels that are converted at a time
-ORIENTATION, SIDEWAYS = 0x0112, (5, 6, 7, 8)  # EXIF
-BITS_PER_SAMPLE = 258  # TIFF
+ROWS = 256  # rows of pixels that are converted at a time
+ORIENTATION, SIDEWAYS = 0x0112, (5, 6, 7, 8)  # EXIF tag, and its values for photos turned by 90 degrees
+BITS_PER_SAMPLE = 258  # TIFF tag
 
 _limit: int | None = None
 
 
 def limit_memory(limit: int | None) -> None:
-    """Sets how many bytes decoding one photo may take; None is a fixed fraction of the machine's memory.
+    """Sets the number of bytes that decoding one photo may take.
 
-    The limit holds for the whole process. Photos that were measured before keep their size.
+    None is a fixed fraction of the machine's memory. The limit applies to the whole process. Photos that were
+    measured before keep their size.
     """
     global _limit
     _limit = limit
 
 
 def memory_limit() -> int:
-    """Returns how many bytes decoding one photo may take."""
+    """Returns the number of bytes that decoding one photo may take."""
     return machine_memory() // MEMORY_SHARE if _limit is None else _limit
 
 
 def is_image(path: Path) -> bool:
-    """Returns whether the name is that of a photo."""
+    """Returns whether a path has the suffix of a photo and is not hidden."""
     return path.suffix.lower() in SUFFIXES and not path.name.startswith(".")
 
 
 @dataclass(frozen=True)
 class Header:
-    """What a photo's header says, before the photo is decoded.
+    """Properties of a photo that its header tells, before the photo is decoded.
 
     Attributes:
         size: width and height after decoding, pixels.
-        divisor: by how much the photo is decoded smaller than it is stored, to fit into memory: 1, 2, 4 or 8.
+        divisor: factor by which decoding shrinks the photo to fit into memory: 1, 2, 4 or 8.
     """
 
     size: tuple[int, int]
@@ -71,11 +72,11 @@ class Header:
 
 
 def header_of(path: Path, *, upright: bool = False) -> Header:
-    """Measures a photo by its header alone.
+    """Returns the size of a photo from its header alone.
 
     Args:
-        path: of the photo.
-        upright: turn it as its EXIF orientation says. A PNG may have that behind its pixels, and is decoded.
+        path: path of the photo.
+        upright: apply the EXIF orientation. A PNG may store it behind the pixels, and is then decoded.
 
     Raises:
         DatasetError: if the file is not a photo, is damaged, or would not fit into memory.
@@ -88,7 +89,7 @@ def header_of(path: Path, *, upright: bool = False) -> Header:
 
 
 def size_of(path: Path, *, upright: bool = False) -> tuple[int, int]:
-    """Returns the width and height that `read` decodes a photo to; see `header_of`."""
+    """Returns the width and height to which `read` decodes a photo; see `header_of`."""
     return header_of(path, upright=upright).size
 
 
@@ -98,9 +99,9 @@ def read(path: Path, *, upright: bool = False, divisor: int | None = None) -> Pi
     Photos of 10 to 16 bits are scaled to 8.
 
     Args:
-        path: of the photo.
-        upright: turn it as its EXIF orientation says.
-        divisor: of the size, as `header_of` found it. None finds it again.
+        path: path of the photo.
+        upright: apply the EXIF orientation.
+        divisor: factor by which the photo is decoded smaller, from `header_of`. None computes it.
 
     Raises:
         DatasetError: if the file is not a photo, is damaged, has no 8-bit equivalent, or would not fit into
@@ -111,12 +112,12 @@ def read(path: Path, *, upright: bool = False, divisor: int | None = None) -> Pi
 
 
 def glance(path: Path, side: int) -> Pixels:
-    """Decodes a photo at about the size that is wanted: no side longer than `side` pixels.
+    """Decodes a photo to a small size, with no side longer than `side` pixels.
 
-    A JPEG is not decoded at its full size for that.
+    A JPEG is not decoded at its full size.
 
     Raises:
-        DatasetError: as `read`.
+        DatasetError: in the cases that `read` lists.
     """
     from PIL import Image
 
@@ -129,7 +130,7 @@ def glance(path: Path, side: int) -> Pixels:
 
 
 def read_mask(path: Path) -> Mask:
-    """Decodes a mask: true wherever the picture is not black.
+    """Decodes a mask, which is true wherever the picture is not black.
 
     Raises:
         DatasetError: if the file is not a picture, is damaged, or would not fit into memory.
@@ -142,7 +143,7 @@ def read_mask(path: Path) -> Mask:
 
 
 def write(path: Path, pixels: UInt8[np.ndarray, "h w 3"]) -> None:
-    """Writes a PNG, whole or not at all."""
+    """Writes a PNG atomically: a crash leaves the old file unchanged."""
     from PIL import Image
 
     buffer = io.BytesIO()
@@ -154,12 +155,14 @@ def write(path: Path, pixels: UInt8[np.ndarray, "h w 3"]) -> None:
 def opened(
     path: Path, what: str = "photo", way_out: str = "Restore it from the camera."
 ) -> Iterator["Image.Image"]:
-    """Opens a picture of a known format without decoding it. Whatever fails inside is an error about it.
+    """Opens a picture of a known format without decoding it.
+
+    Exceptions inside the `with` block become errors about the picture.
 
     Args:
-        path: of the picture.
-        what: the picture in the message.
-        way_out: the end of the message about a damaged one.
+        path: path of the picture.
+        what: noun for the picture in the message.
+        way_out: end of the message about a damaged picture.
 
     Raises:
         DatasetError: if there is no such picture, or it is damaged.
@@ -174,7 +177,7 @@ def opened(
 
 
 def _identified(path: Path, file: BinaryIO, what: str) -> "Image.Image":
-    """As `PIL.Image.open`, without its limit of pixels: see the top of this file."""
+    """Opens a picture as `PIL.Image.open` does, without its limit of pixels; see the top of this file."""
     # Importing a plugin registers it.
     from PIL import BmpImagePlugin, Image, JpegImagePlugin, PngImagePlugin, TiffImagePlugin, WebPImagePlugin
 
@@ -184,8 +187,8 @@ def _identified(path: Path, file: BinaryIO, what: str) -> "Image.Image":
         factory, accept = Image.OPEN.get(name, (None, None))
         if factory is not None and (accept is None or accept(prefix) is True):
             file.seek(0)
-            # Given the name, Pillow maps some files: one that is cut meanwhile would end the process, and an
-            # uncompressed TIFF that is to be turned would be scrambled.
+            # If Pillow gets the name, it maps some files into memory. A file that is truncated meanwhile
+            # would then kill the process, and an uncompressed TIFF that must be turned would be scrambled.
             return factory(file, "")
     raise DatasetError(
         f"{path}: not a {what} that can be read. Photos are {', '.join(sorted(SUFFIXES))}: convert it to one "
@@ -194,7 +197,7 @@ def _identified(path: Path, file: BinaryIO, what: str) -> "Image.Image":
 
 
 def _decoded(path: Path, divisor: int | None) -> tuple[Pixels, int]:
-    """Returns the pixels as they are stored, and the EXIF orientation. What Pillow holds is freed."""
+    """Returns the pixels as they are stored, and the EXIF orientation. Pillow's copy is freed."""
     with opened(path) as image:
         header = _fitting(path, image) if divisor is None else Header(_divided(image.size, divisor), divisor)
         if header.divisor > 1:
@@ -203,10 +206,10 @@ def _decoded(path: Path, divisor: int | None) -> tuple[Pixels, int]:
 
 
 def _fitting(path: Path, image: "Image.Image") -> Header:
-    """Returns the largest size at which an opened photo can be decoded within the limit of memory.
+    """Returns the largest size at which an opened photo can be decoded within the memory limit.
 
     Raises:
-        DatasetError: if there is none.
+        DatasetError: if no size fits.
     """
     limit = memory_limit()
     for divisor in DRAFTS if image.format in ("JPEG", "MPO") else (1,):
@@ -230,12 +233,12 @@ def _memory(image: "Image.Image", size: tuple[int, int]) -> int:
 
 
 def _divided(size: tuple[int, int], divisor: int) -> tuple[int, int]:
-    """Returns the size of a JPEG that is decoded smaller, which is rounded up."""
+    """Returns the size of a JPEG that is decoded smaller; it is rounded up."""
     return -(-size[0] // divisor), -(-size[1] // divisor)
 
 
 def _eight_bits(path: Path, image: "Image.Image") -> Pixels:
-    """Decodes an opened photo, a few rows at a time, so that it is in memory twice and not four times."""
+    """Decodes an opened photo a few rows at a time, so that memory holds two copies of it instead of four."""
     if image.mode in ("I", "F"):
         kind = "32-bit whole" if image.mode == "I" else "floating-point"
         raise DatasetError(
@@ -256,30 +259,30 @@ def _eight_bits(path: Path, image: "Image.Image") -> Pixels:
 
 
 def _from_16_bits(image: "Image.Image", levels: np.ndarray, alpha: bool) -> Pixels:
-    """Scales one grey channel of up to 16 bits, which Pillow would clip at 255, to RGB or RGBA."""
+    """Scales one grey channel of up to 16 bits, which Pillow would clip at 255, to 8-bit RGB or RGBA."""
     bits = _bits(image)
     white = (1 << bits) - 1
     grey = (np.minimum(levels, white).astype(np.uint32) * 255 + white // 2) // white
     channels = [grey.astype(np.uint8)] * 3
-    if alpha:  # a PNG may name one level that is transparent
+    if alpha:  # a PNG may declare one level to be transparent
         channels.append(np.where(levels == image.info["transparency"], np.uint8(0), np.uint8(255)))
     return np.stack(channels, axis=2)
 
 
 def _bits(image: "Image.Image") -> int:
-    """Returns the bits of a grey level: 16, or what the tags of a TIFF say."""
+    """Returns the bits of a grey level: 16, or the number in the tags of a TIFF."""
     tags = getattr(image, "tag_v2", None)
     return int(tags[BITS_PER_SAMPLE][0]) if tags is not None and BITS_PER_SAMPLE in tags else 16
 
 
 def _orientation(image: "Image.Image") -> int:
-    """Returns EXIF's orientation, from 1 to 8; 1 where it is none. Pillow turns TIFFs by itself."""
+    """Returns the EXIF orientation, from 1 to 8; 1 if there is none. Pillow turns TIFFs itself."""
     found = 1 if image.format == "TIFF" else image.getexif().get(ORIENTATION)
     return found if isinstance(found, int) else 1
 
 
 def _turned(pixels: Pixels, orientation: int) -> Pixels:
-    """Turns a photo as EXIF's orientation (1 to 8) says."""
+    """Turns a photo upright, given its EXIF orientation (1 to 8)."""
     match orientation:
         case 2:
             return pixels[:, ::-1]

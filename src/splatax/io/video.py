@@ -1,4 +1,4 @@
-"""Films: .mp4 and .webm by FFmpeg through PyAV, .gif, or a folder of pictures."""
+"""Writes films: .mp4 and .webm with FFmpeg through PyAV, .gif with Pillow, or a folder of pictures."""
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -13,24 +13,27 @@ from splatax.io import images
 from splatax.io.files import replacing
 
 Picture = UInt8[np.ndarray, "_ _ 3"]
-Add = Callable[[Picture], None]  # the next frame
+Add = Callable[[Picture], None]  # adds the next frame
 
 SUFFIXES = {".mp4", ".webm", ".gif"}
-X264 = {"crf": "17", "preset": "medium"}  # no loss that is easy to see
+X264 = {"crf": "17", "preset": "medium"}  # visually near lossless
 VP9 = {"crf": "24", "b": "0", "deadline": "good", "cpu-used": "4", "row-mt": "1"}
-BT709 = 1  # matrix, primaries and transfer in H.273: of HD television, what players assume
+BT709 = 1  # matrix, primaries and transfer of HD television in H.273, which players assume
 
 
 def writing(path: Path, size: tuple[int, int], fps: int) -> AbstractContextManager[Add]:
-    """A film to add frames to; see `film_of`. The file appears when all is written; a folder fills up.
+    """Opens a film to which frames are added; see `film_of`.
+
+    A file appears when all frames are written. A folder fills frame by frame.
 
     Args:
-        path: its suffix tells the format; without one it is a folder.
+        path: its suffix selects the format; a name without suffix is a folder.
         size: width and height of all frames, pixels.
-        fps: frames a second.
+        fps: frames per second.
 
     Raises:
-        InputError: if the format is not known, or cannot be written here or in this size.
+        InputError: if the format is unknown, PyAV or its codec is missing, or the format does not allow this
+            size.
     """
     writers = {".mp4": _mp4, ".webm": _webm, ".gif": _gif, "": _folder}
     if path.suffix.lower() not in writers:
@@ -42,7 +45,7 @@ def writing(path: Path, size: tuple[int, int], fps: int) -> AbstractContextManag
         if size[0] % 2 or size[1] % 2:
             raise InputError(
                 f"{path}: {size[0]} x {size[1]} pixels, but this format needs even numbers. "
-                "Choose another --size."
+                "Choose an even width and an even height."
             )
     return writers[path.suffix.lower()](path, size, fps)
 
@@ -52,7 +55,8 @@ def _require_pyav(path: Path) -> None:
         import av  # noqa: F401
     except ImportError:
         raise InputError(
-            f"{path}: needs PyAV. Install it: pip install 'splatax[video]', or write a .gif or a folder."
+            f"{path}: needs PyAV. Install it: pip install '.[video]' in the checkout of splatax. Or write a "
+            ".gif or a folder."
         ) from None
 
 
@@ -72,7 +76,7 @@ def _encoded(
                 "pip install --force-reinstall av, or write another format."
             ) from error
         stream.width, stream.height = size
-        stream.pix_fmt = "yuv420p"  # the only one that all players know
+        stream.pix_fmt = "yuv420p"  # the only pixel format that all players support
         context = stream.codec_context
         context.color_range, context.colorspace = 1, BT709
         context.color_primaries, context.color_trc = BT709, BT709
@@ -87,7 +91,7 @@ def _encoded(
 
 
 def _front(container: str) -> dict[str, str]:
-    """The index of an MP4 goes first, so that it plays while it loads."""
+    """Returns the option that puts an MP4's index first, so that the film plays while it loads."""
     return {"movflags": "+faststart"} if container == "mp4" else {}
 
 
@@ -107,7 +111,7 @@ def _gif(path: Path, size: tuple[int, int], fps: int) -> Iterator[Add]:
     yield lambda picture: frames.append(
         Image.fromarray(picture).quantize(256, dither=Image.Dither.FLOYDSTEINBERG)
     )
-    ends = [round(100 * (i + 1) / fps) for i in range(len(frames))]  # GIF counts hundredths of a second
+    ends = [round(100 * (i + 1) / fps) for i in range(len(frames))]  # GIF stores hundredths of a second
     durations = [10 * (end - start) for start, end in zip([0, *ends], ends, strict=False)]
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as file:

@@ -1,6 +1,6 @@
 """Reads captures. A loader is a module with `recognise(path)` and `load(path, ...)`.
 
-A loader may raise anything on a damaged capture: `load_dataset` turns it into a `DatasetError`.
+A loader may raise any exception on a damaged capture; `load_dataset` turns it into a `DatasetError`.
 """
 
 from pathlib import Path
@@ -16,16 +16,17 @@ DATASETS = (colmap, transforms, llff)  # the first that recognises a folder load
 
 
 def load_dataset(path: str | Path, *, downscale: int | None = None) -> Dataset:
-    """Loads a capture: its cameras, points, and photos on demand. Every 8th photo is held out, unless
-    the capture itself says which.
+    """Loads a capture: its cameras and points, and its photos on demand.
+
+    Every 8th photo is held out, unless the capture itself lists the photos to hold out.
 
     Args:
-        path: the folder of the capture, or a zip file of it.
-        downscale: divide the size of photos by this. None picks the least that brings the longer
-            side to 1600 pixels or fewer.
+        path: folder of the capture, or a zip file of it.
+        downscale: factor by which photos are shrunk. None selects the smallest whole number that brings
+            the longer side to at most 1600 pixels.
 
-    Raises:
-        DatasetError: if it is not a capture, or parts of it are missing or damaged, or lie outside of it.
+        Raises:
+            DatasetError: if the path is not a capture, or a part of it is missing, damaged or elsewhere.
     """
     folder = folder_of(Path(path))
     with blamed_on(Path(path), "not a capture that can be read", "Make or copy it again.", DatasetError):
@@ -39,17 +40,17 @@ def load_dataset(path: str | Path, *, downscale: int | None = None) -> Dataset:
 
 
 def is_capture(path: Path) -> bool:
-    """Returns whether there is a capture, whose cameras are known, or a zip file, which may hold one."""
+    """Returns whether a path is a folder that holds a capture, or a zip file, which may hold one."""
     if path.is_file():
         return path.suffix.lower() == ".zip"
     return path.is_dir() and any(loader.recognise(path) for loader in DATASETS)
 
 
 def folder_of(path: Path) -> Path:
-    """Returns the folder of a capture, which may be in a zip file.
+    """Returns the folder of a capture, unpacked first if it is a zip file.
 
     Raises:
-        DatasetError: if there is none.
+        DatasetError: if the path is neither a folder nor a zip file.
     """
     if not path.exists():
         raise DatasetError(f"{path}: no such folder. Give the folder that holds the capture.")
@@ -61,7 +62,7 @@ def folder_of(path: Path) -> Path:
 
 
 def contents(folder: Path) -> str:
-    """Describes what is in a folder that is not a capture, and what to do with that."""
+    """Describes the contents of a folder that is not a capture, and suggests how to use its photos."""
     if found := sum(images.is_image(photo) for photo in folder.rglob("*")):
         return f"{counted(found)} without poses: find them with splatax reconstruct"
     names = sorted(path.name for path in folder.iterdir())

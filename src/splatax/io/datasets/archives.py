@@ -1,4 +1,4 @@
-"""Captures in a zip file: unpacked into a temporary folder that lasts as long as the process."""
+"""Unpacks captures in zip files to temporary folders, which are removed when the process ends."""
 
 import shutil
 import stat
@@ -10,10 +10,10 @@ from splatax.errors import DatasetError, shown
 from splatax.io.damage import blamed_on
 from splatax.io.datasets import names
 
-LARGEST = 32 << 30  # bytes, of all files together
+LARGEST = 32 << 30  # bytes of all files together
 MOST_FILES = 200_000
-MOST_EXPANSION = 100  # times the archive's own size; photos hardly shrink
-SMALLEST_LIMIT = 64 << 20  # bytes that an archive may always grow to
+MOST_EXPANSION = 100  # times the archive's size; photos hardly compress
+SMALLEST_LIMIT = 64 << 20  # bytes that any archive may unpack to
 CHUNK = 1 << 20  # bytes
 LITTER = {"__MACOSX", ".DS_Store", "Thumbs.db"}
 
@@ -21,11 +21,11 @@ _unpacked: dict[tuple[Path, int, int], tempfile.TemporaryDirectory[str]] = {}  #
 
 
 def unpacked(path: Path) -> Path:
-    """Returns the folder of an archive's capture, which is unpacked once a process.
+    """Returns the folder of an archive's capture. Each archive is unpacked once per process.
 
     Raises:
-        DatasetError: if it is no zip file, is damaged or encrypted, would write outside its folder, or
-            is larger than any capture.
+        DatasetError: if the file is not a zip file, is damaged or encrypted, would write outside its folder,
+            or is larger than any capture.
     """
     status = path.stat()
     key = (path.resolve(), status.st_size, status.st_mtime_ns)
@@ -41,17 +41,17 @@ def unpacked(path: Path) -> Path:
 
 
 def innermost(folder: Path) -> Path:
-    """Returns the folder inside folders that hold one folder and nothing else."""
+    """Returns the outermost folder that holds more than a single folder."""
     while len(inside := list(folder.iterdir())) == 1 and inside[0].is_dir():
         folder = inside[0]
     return folder
 
 
 def unpack(path: Path, folder: Path) -> None:
-    """Writes the files of an archive to a folder: none outside of it, and no more than is allowed.
+    """Writes the files of an archive inside a folder, and no more bytes than its allowance.
 
     Raises:
-        DatasetError: as `unpacked`.
+        DatasetError: in the cases that `unpacked` lists.
     """
     folder.mkdir()
     left = limit = allowance(path, folder)
@@ -67,7 +67,7 @@ def unpack(path: Path, folder: Path) -> None:
             except (FileExistsError, NotADirectoryError, IsADirectoryError) as error:
                 raise DatasetError(f"{path}: two of its files have one name ({shown(name)}).") from error
             with sink, archive.open(entry) as source:
-                # Counted as they come: the sizes that an archive announces may be lies.
+                # Bytes are counted as they arrive, because the sizes in an archive's directory may be wrong.
                 while chunk := source.read(CHUNK):
                     left -= len(chunk)
                     if left < 0:
@@ -76,16 +76,17 @@ def unpack(path: Path, folder: Path) -> None:
 
 
 def allowance(path: Path, folder: Path) -> int:
-    """Returns the bytes that the archive may unpack to: a plausible number, and half of the free disk."""
+    """Returns the bytes that an archive may unpack to: a plausible number, at most half of the free disk."""
     plausible = max(MOST_EXPANSION * path.stat().st_size, SMALLEST_LIMIT)
     return min(LARGEST, plausible, shutil.disk_usage(folder).free // 2)
 
 
 def checked(path: Path, archive: zipfile.ZipFile, limit: int) -> dict[str, zipfile.ZipInfo]:
-    """Returns the files to unpack, by the names that they get.
+    """Returns the files to unpack, by the names under which they are written.
 
     Raises:
-        DatasetError: if one would land elsewhere, is a link, has the name of another, or they are too many.
+        DatasetError: if a file would be written elsewhere, is a link or has the name of another file, or if
+            there are too many files.
     """
     files: dict[str, zipfile.ZipInfo] = {}
     for entry in archive.infolist():

@@ -1,8 +1,8 @@
-"""COLMAP models, binary or text, and the photos they were made from.
+"""Reads COLMAP models, binary or text, with the photos that they were made from.
 
     CAPTURE/sparse/0/{cameras,images,points3D}.{bin,txt}      CAPTURE/images/...      CAPTURE/masks/...
 
-pycolmap reads the model, and undistorts the photos of cameras that are no pinholes.
+pycolmap reads the model, and undistorts photos whose cameras are not pinholes.
 """
 
 from pathlib import Path
@@ -30,7 +30,7 @@ FILES = ("cameras", "images", "points3D")
 
 
 def models_in(path: Path) -> list[Path]:
-    """Returns the folders that hold a whole model, in the first place that has any."""
+    """Returns the folders that hold a complete model, from the first of `MODEL_ROOTS` that has any."""
     for root in MODEL_ROOTS:
         folder = path / root
         candidates = [folder, *sorted(p for p in folder.glob("*") if p.is_dir() and p.name.isdigit())]
@@ -40,7 +40,7 @@ def models_in(path: Path) -> list[Path]:
 
 
 def has_model(folder: Path, suffix: str) -> bool:
-    """Returns whether a folder holds all files of a model."""
+    """Returns whether a folder holds all files of a model with this suffix."""
     return all((folder / f"{name}{suffix}").exists() for name in FILES)
 
 
@@ -106,7 +106,7 @@ def read_model(folder: Path) -> "pycolmap.Reconstruction":
     with blamed_on(folder, "the COLMAP model is damaged", way_out, DatasetError):
         try:
             return pycolmap.Reconstruction(folder)
-        except Exception as error:  # its messages begin with a line of COLMAP's source
+        except Exception as error:  # its messages begin with a file and line of COLMAP's source
             raise ValueError(str(error).split("] ")[-1].strip()) from error
 
 
@@ -114,7 +114,7 @@ def registered_in(folder: Path, model: "pycolmap.Reconstruction") -> "dict[str, 
     """Returns the registered images of a model, sorted by name.
 
     Raises:
-        DatasetError: if there are none, or a name is not that of a photo, or that of two.
+        DatasetError: if there are none, a name is not valid, or two images have one name.
     """
     found: dict[str, pycolmap.Image] = {}
     for number in model.reg_image_ids():
@@ -143,7 +143,7 @@ def point_cloud(path: Path, model: "pycolmap.Reconstruction") -> PointCloud:
     """Returns the model's points.
 
     Raises:
-        DatasetError: if the place of one is not finite.
+        DatasetError: if a position is not finite.
     """
     points = list(model.points3D.values())
     positions = np.array([point.xyz for point in points], np.float32).reshape(-1, 3)
@@ -159,7 +159,7 @@ def photos_of(registered: "dict[str, pycolmap.Image]", folder: Path) -> dict[str
     """Returns the photo of each registered image, by name.
 
     Raises:
-        DatasetError: if some are missing.
+        DatasetError: if a photo is missing.
     """
     found = {name: find_photo(folder, name) for name in registered}
     if missing := [name for name, path in found.items() if path is None]:
@@ -173,7 +173,7 @@ def photos_of(registered: "dict[str, pycolmap.Image]", folder: Path) -> dict[str
 
 
 def find_photo(folder: Path, name: str) -> Path | None:
-    """Returns the photo of this name, or of the same name with another suffix (as resized copies have)."""
+    """Returns the photo of this name, or of the same name with another suffix, as resized copies may have."""
     if (folder / name).is_file():
         return folder / name
     same_stem = sorted(p for p in (folder / name).parent.glob("*") if p.stem == Path(name).stem)

@@ -1,7 +1,7 @@
-"""Checks that COLMAP's binary files are whole before pycolmap reads them.
+"""Checks that COLMAP's binary files are complete before pycolmap reads them.
 
-pycolmap reads past the end of a truncated file: it returns garbage, or never returns. So this
-walks over the records, by their lengths alone, and reads none of them.
+pycolmap reads past the end of a truncated file: it returns garbage, or never returns. The check here
+therefore steps over the records by their lengths, without reading their contents.
 """
 
 import struct
@@ -9,17 +9,17 @@ from pathlib import Path
 
 from splatax.errors import DatasetError
 
-# Parameters of each camera model, by COLMAP's number.
+# Number of parameters of each camera model, by COLMAP's model number.
 CAMERA_PARAMETERS = {0: 3, 1: 4, 2: 4, 3: 5, 4: 8, 5: 8, 6: 12, 7: 5, 8: 4, 9: 5, 10: 12, 11: 16}
 
 POSE = 56  # bytes: a quaternion and a translation
 
 
 def check_whole(model: Path) -> None:
-    """Checks the binary files of a model that are present; `rigs` and `frames` are of newer versions.
+    """Checks the binary files of a model that are present; `rigs` and `frames` exist in newer versions.
 
     Raises:
-        DatasetError: if one of them is shorter or longer than its own counts say.
+        DatasetError: if a file is shorter or longer than its own counts say.
     """
     for name, end_of_record in ENDS.items():
         path = model / f"{name}.bin"
@@ -60,7 +60,7 @@ def _end_of_point(contents: bytes, start: int) -> int:
 
 def _end_of_rig(contents: bytes, start: int) -> int:
     (sensors,) = struct.unpack_from("<I", contents, start + 4)
-    end = start + 8 + (8 if sensors else 0)  # the sensor of reference, which has no pose of its own
+    end = start + 8 + (8 if sensors else 0)  # the reference sensor, which has no pose of its own
     for _ in range(sensors - 1):
         (has_pose,) = struct.unpack_from("<8xB", contents, end)
         end += 9 + (POSE if has_pose else 0)

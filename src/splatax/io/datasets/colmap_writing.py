@@ -1,4 +1,4 @@
-"""Writes cameras and points as a COLMAP model, which the loader beside this file reads back."""
+"""Writes cameras and points as a COLMAP model, which `colmap.load` can read."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -12,19 +12,19 @@ from splatax.dataset import PointCloud, View
 if TYPE_CHECKING:
     import pycolmap
 
-PLACE = Path("sparse/0")  # of a model, in the folder of a capture
+PLACE = Path("sparse/0")  # folder of the model, in the folder of a capture
 
 
 def save(folder: Path, views: Iterable[View], points: PointCloud) -> None:
-    """Writes FOLDER/sparse/0/{cameras,images,points3D}.bin, in place of what is there.
+    """Writes FOLDER/sparse/0/{cameras,images,points3D}.bin, replacing files that exist.
 
-    The photos are not written. Points have no observations. Cameras that have the same numbers are one
-    to COLMAP.
+    The photos are not written. Points have no observations. Views with equal intrinsics share one COLMAP
+    camera.
 
     Args:
-        folder: of a capture.
-        views: whose cameras to write, as pinholes.
-        points: with 8-bit colours in the file.
+        folder: folder of a capture.
+        views: views whose cameras are written, as pinholes.
+        points: points to write; their colours are rounded to 8 bits.
     """
     import pycolmap
 
@@ -54,7 +54,7 @@ def _pinhole(camera: Camera) -> "pycolmap.Camera":
 
 
 def _pose(camera: Camera) -> "pycolmap.Rigid3d":
-    """Returns the nearest pose that is exactly rigid: products of float32 matrices are not quite."""
+    """Returns the nearest exactly rigid pose; products of float32 matrices are only nearly rigid."""
     import pycolmap
 
     left, _, right = np.linalg.svd(np.asarray(camera.rotation, np.float64))

@@ -1,7 +1,7 @@
-"""The frames of a `transforms.json`, checked: photos, calibrated lenses and poses.
+"""Reads and checks the frames of a `transforms.json`: photos, calibrated lenses and poses.
 
-Poses are camera-to-world with OpenGL's axes (x right, y up, z back); here they become COLMAP's. The
-format: https://docs.nerf.studio/quickstart/data_conventions.html
+Poses in the file are camera-to-world with OpenGL's axes (x right, y up, z back). They are converted to
+COLMAP's convention. Format: https://docs.nerf.studio/quickstart/data_conventions.html
 """
 
 import json
@@ -25,11 +25,17 @@ if TYPE_CHECKING:
     import pycolmap
 
 FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # y up, z back -> y down, z forward
-RIGID_TOLERANCE = 1e-2  # of R R^T against the identity: what a printed matrix may be off
-PERSPECTIVE = {"PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "RADIAL", "SIMPLE_RADIAL"}  # all part of OPENCV
+RIGID_TOLERANCE = 1e-2  # of R R^T against the identity; allows for rounding of printed matrices
+PERSPECTIVE = {
+    "PINHOLE",
+    "SIMPLE_PINHOLE",
+    "OPENCV",
+    "RADIAL",
+    "SIMPLE_RADIAL",
+}  # all are special cases of OPENCV
 FISHEYE = "OPENCV_FISHEYE"
 DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
-MOST_FRAMES = 200_000  # as many as an archive may hold files; more would be no capture, and take minutes
+MOST_FRAMES = 200_000  # as many as an archive may hold files; more take minutes to read
 
 
 @dataclass(frozen=True)
@@ -37,10 +43,10 @@ class Frame:
     """One photo.
 
     Attributes:
-        name: as the file has it, with slashes, relative to the file's folder.
-        path: of the photo, which may be missing.
-        mask: path of the mask, if it has one.
-        lens: returns the intrinsics, given the photo's size in case the file does not tell one.
+        name: name of the photo in the file, with slashes, relative to the file's folder.
+        path: path of the photo, which may be missing.
+        mask: path of the mask, if the frame has one.
+        lens: returns the intrinsics, given the photo's size in case the file does not state it.
         cam_from_world: pose, with x right, y down, z forward.
     """
 
@@ -52,29 +58,31 @@ class Frame:
 
 
 class Fields:
-    """Entries of a JSON object, checked as they are read; an entry of the whole file stands in where
-    a frame has none of its own. Knows where it is, for messages."""
+    """Entries of JSON objects that are checked when they are read.
+
+    An entry is looked up in the frame first and then in the whole file. Error messages name the location.
+    """
 
     def __init__(self, where: str, *entries: dict[str, Any]):
         self.where = where
         self.entries = entries
 
     def find(self, key: str) -> Any:
-        """Returns the entry, from the first object that has it; None if none does."""
+        """Returns the entry from the first object that has it; None if none has it."""
         for entries in self.entries:
             if (value := entries.get(key)) is not None:
                 return value
         return None
 
     def wrong(self, key: str, expected: str) -> DatasetError:
-        """Returns the error about an entry of the wrong kind."""
+        """Returns the error about an entry that has the wrong type or value."""
         return DatasetError(
             f"{self.where}: {key} should be {expected}, not {shortened(self.find(key))}. "
             "Export the capture again, or correct the file."
         )
 
     def text(self, key: str) -> str | None:
-        """Returns the entry as text that is not empty."""
+        """Returns the entry as a non-empty string."""
         value = self.find(key)
         if value is not None and (not isinstance(value, str) or not value):
             raise self.wrong(key, "text")
@@ -87,28 +95,28 @@ class Fields:
             return None
         number = math.inf
         if isinstance(value, int | float) and not isinstance(value, bool):
-            with suppress(OverflowError):  # whole numbers of JSON have any length
+            with suppress(OverflowError):  # whole numbers in JSON may have any length
                 number = float(value)
         if not math.isfinite(number):
             raise self.wrong(key, "a finite number")
         return number
 
     def positive(self, key: str) -> float | None:
-        """Returns the entry as a finite number above zero."""
+        """Returns the entry as a finite number greater than zero."""
         value = self.number(key)
         if value is not None and value <= 0:
             raise self.wrong(key, "a number above zero")
         return value
 
     def side(self, key: str) -> float | None:
-        """Returns the entry as a number of pixels that a photo may have."""
+        """Returns the entry as the side of a photo, pixels."""
         value = self.positive(key)
         if value is not None and not 0.5 < value <= LARGEST_CAMERA:
             raise self.wrong(key, "a number of pixels")
         return value
 
     def rigid(self, key: str) -> Float[np.ndarray, "4 4"] | None:
-        """Returns the entry, 3 x 4 or 4 x 4, as the nearest exact rotation and a translation."""
+        """Returns the entry, a 3 x 4 or 4 x 4 matrix, as the nearest exactly rigid transform."""
         value = self.find(key)
         if value is None:
             return None
@@ -122,7 +130,7 @@ class Fields:
 
 
 def matrices_of(values: list[Any]) -> Float[np.ndarray, "n r 4"] | None:
-    """Returns matrices of JSON as one array, 3 x 4 or 4 x 4 each; None if they are anything else."""
+    """Returns 3 x 4 or 4 x 4 matrices in JSON as one array; None if they are anything else."""
     try:
         matrices = np.array(values, np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -133,7 +141,7 @@ def matrices_of(values: list[Any]) -> Float[np.ndarray, "n r 4"] | None:
 def nearest_rigid(
     matrices: Float[np.ndarray, "n r 4"],
 ) -> tuple[Float[np.ndarray, "n 4 4"], Bool[np.ndarray, " n"]]:
-    """Returns the nearest exact rotations with their translations, and which matrices are near to one."""
+    """Returns the nearest exactly rigid transforms, and a mask of the matrices that are close to them."""
     good = np.isfinite(matrices).all((1, 2))
     matrices = np.where(good[:, None, None], matrices, np.eye(4)[: matrices.shape[1]])
     rotations = matrices[:, :3, :3]
@@ -147,22 +155,22 @@ def nearest_rigid(
 
 
 def shortened(value: Any) -> str:
-    """Returns an entry as the part of a message."""
+    """Returns an entry in a short form for messages."""
     return shown(repr(value) if not isinstance(value, int) or abs(value) < 10**60 else "a huge number", 60)
 
 
 def read(path: Path) -> dict[str, Any]:
-    """Returns the contents of the file, of which only its outermost form is checked.
+    """Reads the file and checks only that it has a list of frames.
 
     Raises:
-        DatasetError: if it is not JSON, has no list of frames, or more than `MOST_FRAMES`.
+        DatasetError: if it is not JSON, has no list of frames, or has more than `MOST_FRAMES`.
     """
     with blamed_on(path, "not valid JSON", "Export the capture again.", DatasetError):
         text = path.read_bytes()
-        # Each frame is an object of its own: counted before a gigabyte is parsed.
+        # Each frame is a JSON object. Objects are counted before a gigabyte is parsed.
         if (objects := text.count(b"{")) > 2 * MOST_FRAMES:
             raise too_many(path, objects)
-        contents = json.loads(text.decode("utf-8-sig"))  # some editors put a mark before the text
+        contents = json.loads(text.decode("utf-8-sig"))  # some editors put a byte order mark before the text
     frames = contents.get("frames") if isinstance(contents, dict) else None
     if not isinstance(frames, list) or not frames or not all(isinstance(f, dict) for f in frames):
         raise DatasetError(f'{path}: it has no list of "frames", so no poses. Export the capture again.')
@@ -172,16 +180,16 @@ def read(path: Path) -> dict[str, Any]:
 
 
 def too_many(path: Path, count: int) -> DatasetError:
-    """Returns the error about a file of more frames than a capture can have."""
+    """Returns the error about a file with more frames than a capture can have."""
     return DatasetError(f"{path}: {count:,} frames, and at most {MOST_FRAMES:,} are read. Split the capture.")
 
 
 def frames_of(path: Path, contents: dict[str, Any]) -> list[Frame]:
-    """Returns the frames, in the order of the file.
+    """Returns the frames in the order of the file.
 
     Raises:
-        DatasetError: if an entry is missing, of the wrong kind, or leads out of the file's folder; or if
-            a photo occurs twice.
+        DatasetError: if an entry is missing, has the wrong type or leads out of the file's folder, or if a
+            photo occurs twice.
     """
     entries = contents["frames"]
     poses = poses_of(path, entries)
@@ -195,14 +203,16 @@ def frames_of(path: Path, contents: dict[str, Any]) -> list[Frame]:
 
 
 def poses_of(path: Path, entries: list[dict[str, Any]]) -> Float[np.ndarray, "n 3 4"]:
-    """Returns the poses of all frames, from the world to the camera.
+    """Returns the world-to-camera poses of all frames.
 
     Raises:
-        DatasetError: if one is missing or is not a rotation and a translation. The message names its frame.
+        DatasetError: if a pose is missing or is not rigid. The message names its frame.
     """
     matrices = matrices_of([entry.get("transform_matrix") for entry in entries])
     poses, good = (None, np.zeros(1, bool)) if matrices is None else nearest_rigid(matrices)
-    if poses is None or not good.all():  # one by one, to find which is wrong; or some are 3 x 4, some 4 x 4
+    if (
+        poses is None or not good.all()
+    ):  # one by one: to find the wrong one, or because 3 x 4 and 4 x 4 are mixed
         every = []
         for i, entry in enumerate(entries):
             fields = Fields(f"{path}, frame {i}", entry)
@@ -219,17 +229,17 @@ def frame_of(
     """Returns one frame.
 
     Args:
-        path: of the file.
-        fields: of the frame, and of the whole file where the frame has none of its own.
-        entries: the frame alone.
-        cam_from_world: pose.
+        path: path of the file.
+        fields: entries of the frame, and of the whole file for those that the frame lacks.
+        entries: entries of the frame alone.
+        cam_from_world: pose of the frame.
     """
     own = Fields(fields.where, entries)
     name, mask = own.text("file_path"), own.text("mask_path")
     if name is None:
         raise missing(own, "file_path")
     name = names.checked(name, own.where)
-    if not name.lower().endswith(tuple(SUFFIXES)):  # Blender's are named without their suffix
+    if not name.lower().endswith(tuple(SUFFIXES)):  # Blender's files omit the suffix
         name += ".png"
     return Frame(
         name,
@@ -241,15 +251,15 @@ def frame_of(
 
 
 def missing(fields: Fields, key: str) -> DatasetError:
-    """Returns the error about a frame without an entry that it needs."""
+    """Returns the error about a frame that lacks a required entry."""
     return DatasetError(f"{fields.where}: it has no {key}. Export the capture again, or remove the frame.")
 
 
 def lens_of(fields: Fields, size: tuple[int, int]) -> "pycolmap.Camera":
-    """Returns the camera of a frame, at the size that its intrinsics are for: the photo's if none is told.
+    """Returns the camera of a frame at the size in the file, or at the photo's size if the file has none.
 
     Raises:
-        DatasetError: if there is no focal length, or the model of the lens is unknown.
+        DatasetError: if there is no focal length, or the camera model is unknown.
     """
     width, height = fields.side("w") or float(size[0]), fields.side("h") or float(size[1])
     fx = fields.positive("fl_x") or focal_of(fields.positive("camera_angle_x"), width)
@@ -277,12 +287,12 @@ def lens_of(fields: Fields, size: tuple[int, int]) -> "pycolmap.Camera":
 
 
 def focal_of(angle: float | None, side: float) -> float | None:
-    """Returns the focal length in pixels, from the field of view along a side."""
+    """Returns the focal length in pixels from the field of view along a side."""
     return 0.5 * side / math.tan(angle / 2) if angle else None
 
 
 def camera(model: str, width: float, height: float, parameters: list[float]) -> "pycolmap.Camera":
-    """Returns COLMAP's camera."""
+    """Returns a COLMAP camera."""
     import pycolmap
 
     return pycolmap.Camera(model=model, width=round(width), height=round(height), params=parameters)

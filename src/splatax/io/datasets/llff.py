@@ -1,9 +1,9 @@
-"""LLFF's `poses_bounds.npy` (Mildenhall et al. 2019), and the photos in the order of their names.
+"""Reads LLFF's `poses_bounds.npy` (Mildenhall et al. 2019), with the photos in the order of their names.
 
     CAPTURE/poses_bounds.npy      CAPTURE/images/...
 
-Each row: a 3 x 5 matrix [R | t | height, width, focal], camera-to-world with axes down, right,
-back; then the depths of the nearest and the farthest point, which are not used.
+Each row has a 3 x 5 matrix [R | t | height, width, focal], camera-to-world with axes down, right, back,
+then the depths of the nearest and the farthest point, which are not used.
 """
 
 from pathlib import Path
@@ -64,10 +64,11 @@ def read(path: Path) -> Float[np.ndarray, "n 17"]:
     """Returns the rows of the file.
 
     Raises:
-        DatasetError: if it is not an array of the format, a pose is not a rotation, or no photo has its size.
+        DatasetError: if the array has another shape or type, or a pose or a photo's size is not valid.
     """
     with blamed_on(path, "not an array that NumPy can read", "Copy it again.", DatasetError):
-        rows = np.load(path, mmap_mode="r", allow_pickle=False)  # mapped: its header may claim any size
+        # Memory-mapped, because the header may claim any size.
+        rows = np.load(path, mmap_mode="r", allow_pickle=False)
     if not isinstance(rows, np.ndarray) or rows.ndim != 2 or rows.shape[1] != ROW or rows.dtype.kind != "f":
         shape = getattr(rows, "shape", "several arrays")
         raise DatasetError(f"{path}: LLFF's poses are rows of {ROW} numbers, not {shape}. Make it again.")
@@ -90,7 +91,7 @@ def read(path: Path) -> Float[np.ndarray, "n 17"]:
 
 
 def lens_of(row: Float[np.ndarray, "17"]) -> "pycolmap.Camera":
-    """Returns the camera of a row: a pinhole whose axis is in the middle of the photo."""
+    """Returns the camera of a row, a pinhole whose principal point is at the photo's centre."""
     import pycolmap
 
     height, width, focal = row[:15].reshape(3, 5)[:, 4]
@@ -103,7 +104,7 @@ def lens_of(row: Float[np.ndarray, "17"]) -> "pycolmap.Camera":
 
 
 def pose_of(row: Float[np.ndarray, "17"]) -> Float[np.ndarray, "3 4"]:
-    """Returns the transform from the world to camera axes x right, y down, z forward."""
+    """Returns the world-to-camera transform of a row, with x right, y down, z forward."""
     down, right, back, position = row[:15].reshape(3, 5)[:, :4].T
     rotation = np.stack([right, down, -back])
     return np.column_stack([rotation, -rotation @ position])

@@ -1,4 +1,4 @@
-"""Masks beside the photos of a capture, as COLMAP and nerfstudio have them: black does not count.
+"""Reads masks beside the photos of a capture, as COLMAP and nerfstudio use them: black pixels are ignored.
 
 CAPTURE/masks/NAME.jpg.png  or  CAPTURE/masks/NAME.png     for the photo NAME.jpg
 """
@@ -21,7 +21,7 @@ def masks_of(capture: Path, names: Iterable[str]) -> dict[str, Path]:
     """Returns the mask of each photo that has one.
 
     Raises:
-        DatasetError: if there are masks, but none of them bears the name of a photo.
+        DatasetError: if there are masks, but none has the name of a photo.
     """
     folder = capture / FOLDER
     masks = {}
@@ -41,19 +41,19 @@ def masks_of(capture: Path, names: Iterable[str]) -> dict[str, Path]:
 def decoder(
     path: Path, photo: tuple[int, int], straighten: Callable[[Pixels], Pixels], view: tuple[int, int]
 ) -> Callable[[], Mask]:
-    """Returns a function that reads the mask when it is needed, and brings it into the form of its view.
+    """Returns a function that reads a mask on demand, undistorted and at the size of its view.
 
     Args:
-        path: of the mask, which has the photo's proportions.
+        path: path of the mask, which has the photo's proportions.
         photo: width and height of the decoded photo.
-        straighten: removes the lens's distortion from pictures of that size.
+        straighten: function that removes the lens distortion from pictures of that size.
         view: width and height of the view.
 
     Raises:
-        DatasetError: if the mask has other proportions than the photo.
+        DatasetError: if the proportions of the mask and the photo differ.
     """
     (width, height), (photo_width, photo_height) = images.size_of(path), photo
-    rounding = 1.5 * max(width / photo_width, 1)  # pixels, of a side that was resized
+    rounding = 1.5 * max(width / photo_width, 1)  # pixels by which a resized side may differ
     if abs(width * photo_height / photo_width - height) > rounding:
         raise DatasetError(
             f"{path}: {width} x {height} pixels, but its photo {photo_width} x {photo_height}: other "
@@ -65,7 +65,7 @@ def decoder(
 def decode(
     path: Path, photo: tuple[int, int], straighten: Callable[[Pixels], Pixels], view: tuple[int, int]
 ) -> Mask:
-    """Decodes a mask, and undistorts and resizes it as its photo."""
+    """Decodes a mask, and undistorts and resizes it like its photo."""
     mask = resize_mask(images.read_mask(path), *photo)
     shades = np.repeat(np.where(mask, np.uint8(255), np.uint8(0))[..., None], 3, axis=2)
     return resize_mask(straighten(shades)[..., 0] > 127, *view)

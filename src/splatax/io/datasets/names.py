@@ -1,34 +1,34 @@
-"""The one rule for names of files that a capture brings along, whichever loader reads them.
+"""The rule for file names inside a capture, which all loaders share.
 
-A name is that of a file below the capture's folder: relative, without "..", without a drive, and without
-control characters. Names become paths of photos to read and of pictures to write, and lines on terminals
-and web pages, so this rule is what keeps all of them where they belong.
+A name is a path below the capture's folder: relative, without "..", without a drive, and without control
+characters. Names become paths of photos to read and of pictures to write, and text on terminals and web
+pages. The rule keeps paths inside their folders and text harmless.
 
-Links are followed, and where they end counts: the file must lie in the capture's folder, or in the folder
-of photos, which may be a link to somewhere else. A photo that is itself a link to a file outside both is
-refused.
+Links are followed, and their targets are checked: the file must lie in the capture's folder, or in the
+folder of photos, which may itself be a link to another place. A photo that is a link to a file outside
+both folders is refused.
 """
 
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from splatax.errors import DatasetError, is_shown, shown
 
-LONGEST_PART = 255  # bytes, of each part of a name: what file systems allow
-LONGEST = 1024  # bytes, of a whole name
+LONGEST_PART = 255  # bytes of each part of a name, the limit of file systems
+LONGEST = 1024  # bytes of a whole name
 
 
 def checked(name: str, where: object) -> str:
-    """Returns a name with forward slashes and without superfluous dots, if it follows the rule.
+    """Checks a name, and returns it with forward slashes and without superfluous dots.
 
     Args:
-        name: as the capture has it. Backslashes separate folders, as on Windows.
-        where: the file that has the name, for the message.
+        name: name in the capture. Backslashes separate folders, as on Windows.
+        where: file that contains the name, for the message.
 
     Raises:
-        DatasetError: if the name is empty, leads out of the capture's folder, or cannot be that of a file.
+        DatasetError: if the name is empty, leads out of the capture's folder, or is not valid for a file.
     """
     slashed = name.replace("\\", "/")
-    if _plain(slashed):  # nearly all names: a fast way past the slower checks
+    if _plain(slashed):  # true for nearly all names, which skip the slower checks
         return slashed
     windows = PureWindowsPath(name)
     parts = PurePosixPath(slashed).parts
@@ -49,11 +49,11 @@ def checked(name: str, where: object) -> str:
 
 
 def confined(path: Path, capture: Path) -> Path:
-    """Returns the path of a file of a capture, if it lies there with all links followed.
+    """Checks that a file of a capture lies there after all links are followed, and returns its path.
 
     Args:
-        path: below the capture's folder, by a name that is `checked`.
-        capture: the folder. It may be a link, and so may the folder of photos right in it.
+        path: path below the capture's folder, whose name is `checked`.
+        capture: folder of the capture. It may be a link, and so may the folder of photos directly in it.
 
     Raises:
         DatasetError: if a link leads elsewhere.
@@ -70,12 +70,12 @@ def confined(path: Path, capture: Path) -> Path:
 
 
 def has_control_characters(name: str) -> bool:
-    """Returns whether a name has characters that terminals and text files obey instead of showing."""
+    """Returns whether a name has characters that terminals interpret instead of showing."""
     return not name.isprintable() and not all(is_shown(character) for character in name)
 
 
 def _plain(name: str) -> bool:
-    """Returns whether a name follows the rule at first sight; most do."""
+    """Returns whether a name obviously follows the rule. The test is fast, and true for most names."""
     return (
         name.isascii()
         and name.isprintable()

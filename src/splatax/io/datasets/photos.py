@@ -1,4 +1,4 @@
-"""Photos with known cameras, for every loader: read, undistorted, turned and resized on demand."""
+"""Photos with known cameras, which every loader uses: read, undistorted, turned and resized on demand."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -22,14 +22,14 @@ from splatax.resampling import resize
 if TYPE_CHECKING:
     import pycolmap
 
-RESIZED_FOLDERS = (2, 4, 8)  # images_2, images_4, images_8: photos that someone has shrunk already
-LARGEST_SIDE = 1600  # pixels, of photos that are loaded without being told a size (as INRIA's)
-LARGEST_CAMERA = 1 << 20  # pixels, of a side: what no photo has
-NAMED = 3  # photos that a message names before it counts the rest
+RESIZED_FOLDERS = (2, 4, 8)  # images_2, images_4, images_8: photos that another tool has shrunk
+LARGEST_SIDE = 1600  # pixels, of photos loaded without `downscale` (as in INRIA's code)
+LARGEST_CAMERA = 1 << 20  # pixels of a side, more than any photo has
+NAMED = 3  # photos that a message names; the rest are counted
 
 
 def photo_folder(path: Path, downscale: int | None) -> tuple[Path, int]:
-    """Returns the folder of photos, and the factor by which those in it are shrunk already."""
+    """Returns the folder of photos, and the factor by which its photos have been shrunk."""
     if downscale in RESIZED_FOLDERS and (path / f"images_{downscale}").is_dir():
         return path / f"images_{downscale}", downscale
     for factor in (1, *RESIZED_FOLDERS):
@@ -46,12 +46,12 @@ class Source:
     """A registered photo on disk.
 
     Attributes:
-        name: of the photo, unique in the capture.
-        path: of the photo.
+        name: name of the photo, unique in the capture.
+        path: path of the photo.
         mask: path of its mask, if it has one.
-        upright: whether its EXIF orientation must be applied to match its camera.
-        divisor: by how much it is decoded smaller than it is stored, to fit into memory.
-        camera: of the decoded size.
+        upright: True if its EXIF orientation must be applied to match its camera.
+        divisor: factor by which decoding shrinks the photo to fit into memory.
+        camera: camera at the decoded size.
         cam_from_world: pose, with x right, y down, z forward.
     """
 
@@ -64,7 +64,7 @@ class Source:
     cam_from_world: Float[np.ndarray, "3 4"]
 
     def view(self, factor: float) -> View:
-        """Returns the view at 1 / factor of the stored photo's size, but no larger than it is decoded."""
+        """Returns the view at 1 / factor of the stored photo's size, but no larger than the decoded photo."""
         factor = max(factor / self.divisor, 1.0)
         with blamed_on(self.path, "its camera cannot be used", "Calibrate it again.", DatasetError):
             pinhole, straighten = undistortion(self.camera, factor)
@@ -95,19 +95,19 @@ def source_of(
     capture: Path,
     mask: Path | None = None,
 ) -> Source:
-    """Fits the camera of a photo to the photo's real size.
+    """Returns the source of a photo, with its camera scaled to the photo's actual size.
 
     Args:
-        name: of the photo, unique in the capture.
-        path: of the photo, below the folder of the capture.
-        camera: as it was calibrated, perhaps for another size.
+        name: name of the photo, unique in the capture.
+        path: path of the photo, below the folder of the capture.
+        camera: camera as it was calibrated, perhaps for another size.
         cam_from_world: pose.
-        capture: folder that photo and mask must lie in, with all links followed.
+        capture: folder in which photo and mask must lie after all links are followed.
         mask: path of its mask, if it has one.
 
     Raises:
-        DatasetError: if the photo has other proportions than its camera, upright or not, the camera or the
-            pose is not one of finite numbers, or a link leads out of the capture.
+        DatasetError: if the proportions of the photo and the camera differ, upright or not, a number of the
+            camera or the pose is not finite, or a link leads out of the capture.
     """
     import pycolmap
 
@@ -118,7 +118,7 @@ def source_of(
     for upright in (False, True):
         header = images.header_of(path, upright=upright)
         width, height = header.size
-        # Equal proportions, give or take the rounding of a resize.
+        # Proportions are equal up to the rounding of a resize.
         if abs(width * camera.height / camera.width - height) <= 1.5:
             camera.rescale(width, height)
             return Source(name, path, mask, upright, header.divisor, camera, cam_from_world)
@@ -133,9 +133,9 @@ def check_camera(path: Path, camera: "pycolmap.Camera", cam_from_world: Float[np
     """Refuses a camera or a pose that no photo can have.
 
     Raises:
-        DatasetError: if the camera has no pixels, no focal length above zero, or a number is not finite.
+        DatasetError: if the camera has no pixels or no positive focal length, or a number is not finite.
     """
-    with np.errstate(over="ignore", under="ignore"):  # cameras are computed with in float32
+    with np.errstate(over="ignore", under="ignore"):  # cameras are used in float32
         lens = np.array([camera.focal_length_x, camera.focal_length_y, *camera.params], np.float32)
         pose = cam_from_world.astype(np.float32)
     sized = all(0 < side <= LARGEST_CAMERA for side in (camera.width, camera.height))
@@ -152,7 +152,7 @@ def check_camera(path: Path, camera: "pycolmap.Camera", cam_from_world: Float[np
 
 
 def camera_of(pinhole: "pycolmap.Camera", cam_from_world: Float[np.ndarray, "3 4"]) -> Camera:
-    """Returns our camera, from COLMAP's intrinsics of a pinhole and a pose."""
+    """Returns a `Camera` from COLMAP's pinhole intrinsics and a pose."""
     return Camera(
         fx=jnp.float32(pinhole.focal_length_x),
         fy=jnp.float32(pinhole.focal_length_y),
@@ -165,7 +165,7 @@ def camera_of(pinhole: "pycolmap.Camera", cam_from_world: Float[np.ndarray, "3 4
 
 
 def shrink_factor(sources: list[Source], already: int, downscale: int | None) -> float:
-    """Returns the factor by which to shrink photos, beyond what those on disk are shrunk already."""
+    """Returns the factor by which to shrink photos, relative to the photos on disk."""
     if downscale is not None:
         return downscale / already
     longest = max(source.divisor * max(source.camera.width, source.camera.height) for source in sources)
@@ -173,7 +173,7 @@ def shrink_factor(sources: list[Source], already: int, downscale: int | None) ->
 
 
 def unused(folder: Path, used: Iterable[Path]) -> tuple[str, ...]:
-    """Returns the names of the photos in a folder that no view was made of."""
+    """Returns the names of the photos in a folder that no view uses."""
     photos = {path for path in folder.rglob("*") if images.is_image(path)}
     return tuple(sorted(shown(path.relative_to(folder).as_posix()) for path in photos.difference(used)))
 
@@ -181,7 +181,7 @@ def unused(folder: Path, used: Iterable[Path]) -> tuple[str, ...]:
 def survey(
     sources: list[Source], unused: tuple[str, ...], errors: dict[str, Float[np.ndarray, " _"]]
 ) -> Survey:
-    """Returns what was seen of the photos on disk."""
+    """Returns the survey of the photos on disk."""
     files = {source.name: source.path for source in sources}
     return Survey(files, {source.name: lens(source.camera) for source in sources}, unused, errors)
 
@@ -194,14 +194,14 @@ def lens(camera: "pycolmap.Camera") -> str:
 
 
 def sizes_of(views: list[View]) -> str:
-    """Returns the size of all views in words, such as "504 x 378", or the range of their sizes."""
+    """Returns the common size of views in words, such as "504 x 378", or the range of their sizes."""
     sizes = sorted({(view.camera.width, view.camera.height) for view in views})
     names = [f"{width} x {height}" for width, height in sizes]
     return names[0] if len(names) == 1 else f"{names[0]} to {names[-1]}"
 
 
 def limited(sources: list[Source]) -> list[str]:
-    """Returns a note about photos that are decoded smaller than they are stored; none if there are none."""
+    """Returns a list with a note about photos that are decoded smaller than stored, or an empty list."""
     smaller = [source.name for source in sources if source.divisor > 1]
     if not smaller:
         return []
@@ -213,7 +213,7 @@ def limited(sources: list[Source]) -> list[str]:
 
 
 def scaling(factor: float) -> str:
-    """Returns how much photos are shrunk, as the end of a sentence; nothing if they are not."""
+    """Returns the factor of shrinking as the end of a sentence; an empty string if it is 1."""
     return "" if factor == 1 else f", shrunk {factor:g} times"
 
 
@@ -223,7 +223,7 @@ def counted(number: int) -> str:
 
 
 def listed(found: Iterable[str]) -> str:
-    """Returns names as the part of a sentence, the first few of them: "a, b, c and 4 more"."""
+    """Returns names as part of a sentence, of which it lists the first few: "a, b, c and 4 more"."""
     every = [shown(name) for name in found]
     more = f" and {len(every) - NAMED} more" if len(every) > NAMED else ""
     return ", ".join(every[:NAMED]) + more

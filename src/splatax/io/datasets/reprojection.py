@@ -1,4 +1,4 @@
-"""Measures how well cameras and points agree, through the project's own projection."""
+"""Measures how well cameras and points agree, using splatax's own projection."""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -12,22 +12,22 @@ from splatax.cameras import Camera
 if TYPE_CHECKING:
     import pycolmap
 
-MAX_VIEWS = 40  # spread over the capture
-SAMPLES = 512  # observations of each: one shape for all views compiles once
+MAX_VIEWS = 40  # evenly spaced over the capture
+SAMPLES = 512  # observations per view; one shape for all views compiles once
 
 
 def reprojection_errors(
     model: "pycolmap.Reconstruction", registered: "dict[str, pycolmap.Image]", cameras: dict[str, Camera]
 ) -> dict[str, Float[np.ndarray, " _"]]:
-    """Returns distances in pixels of the loaded views between where points were seen and where they project.
+    """Returns the reprojection errors of a sample of observations, in pixels of the loaded views.
 
     Args:
-        model: the COLMAP model.
-        registered: its images by name, sorted.
-        cameras: the pinhole of each, by name.
+        model: COLMAP model.
+        registered: registered images of the model by name, sorted.
+        cameras: pinhole camera of each image, by name.
 
     Returns:
-        By name, the errors of a sample of observations, for a sample of images that have any.
+        Errors by name, for a sample of the images that have observations.
     """
     errors = {}
     for name in list(registered)[:: -(-len(registered) // MAX_VIEWS)]:
@@ -36,9 +36,9 @@ def reprojection_errors(
         if not observed:
             continue
         sample = observed[:: -(-len(observed) // SAMPLES)]
-        count, sample = len(sample), (sample * SAMPLES)[:SAMPLES]  # repeated to the one shape
+        count, sample = len(sample), (sample * SAMPLES)[:SAMPLES]  # repeated to fill the fixed shape
         points = np.array([model.point3D(p.point3D_id).xyz for p in sample], np.float32)
-        # Through the lens model to slopes, and through our pinhole back to pixels.
+        # COLMAP's lens model maps observations to slopes; the pinhole maps slopes to pixels of the view.
         camera = cameras[name]
         slopes = model.camera(image.camera_id).cam_from_img(np.array([p.xy for p in sample]))
         seen = np.asarray(slopes) * [float(camera.fx), float(camera.fy)] + [

@@ -1,4 +1,4 @@
-"""`transforms.json` of nerfstudio and instant-ngp, and the `transforms_train.json` of Blender's scenes.
+"""Reads `transforms.json` of nerfstudio and instant-ngp, and `transforms_train.json` of Blender's scenes.
 
 CAPTURE/transforms.json              CAPTURE/images/...
 CAPTURE/transforms_train.json        CAPTURE/train/...      CAPTURE/transforms_test.json ...
@@ -22,7 +22,7 @@ from splatax.io.formats import ply_table
 
 WHOLE, TRAIN, TEST = "transforms.json", "transforms_train.json", "transforms_test.json"
 LOOKED_FOR = f"{WHOLE} (nerfstudio, instant-ngp) or {TRAIN} (Blender)"
-SPLITS = ("train_filenames", "test_filenames", "val_filenames")  # nerfstudio's, in the whole file
+SPLITS = ("train_filenames", "test_filenames", "val_filenames")  # nerfstudio's keys for the split
 
 
 def recognise(path: Path) -> bool:
@@ -31,7 +31,7 @@ def recognise(path: Path) -> bool:
 
 
 def load(path: Path, *, downscale: int | None = None) -> Dataset:
-    """Loads a capture; see `load_dataset`. Blender's files say themselves what is held out."""
+    """Loads a capture; see `load_dataset`. Blender's files define the held-out photos themselves."""
     if (path / WHOLE).is_file():
         contents = frames.read(path / WHOLE)
         found = frames.frames_of(path / WHOLE, contents)
@@ -47,14 +47,14 @@ def load(path: Path, *, downscale: int | None = None) -> Dataset:
             raise DatasetError(f"{path / TEST}: {both[0]} is in {TRAIN} too. Hold out other photos.")
         found += held_out
     dataset = dataset_of(path / TRAIN, found, tested, downscale, {}, None)
-    return replace(dataset, background="white")  # by convention of these scenes, in training and scores
+    return replace(dataset, background="white")  # the convention of these scenes, in training and evaluation
 
 
 def named_test(path: Path, contents: dict[str, Any], found: list[Frame]) -> set[str] | None:
-    """Returns the photos that the file itself holds out; None if it does not say.
+    """Returns the names of the photos that the file holds out; None if it has no split.
 
     Raises:
-        DatasetError: if it names others than its frames have.
+        DatasetError: if the split names a photo that no frame has.
     """
     names = {frame.name for frame in found}
     split: dict[str, set[str]] = {}
@@ -79,15 +79,15 @@ def dataset_of(
     contents: dict[str, Any],
     world: Float[np.ndarray, "4 4"] | None,
 ) -> Dataset:
-    """Returns the capture of some frames.
+    """Returns the dataset of the given frames.
 
     Args:
-        path: of the file, for messages and the files beside it.
-        found: the frames.
+        path: path of the file, for messages and for the files beside it.
+        found: frames of the capture.
         tested: names of the photos that are held out; None for every 8th.
         downscale: see `load_dataset`.
-        contents: of the file, for its points.
-        world: transform that was applied to the poses after they were found, and is undone here.
+        contents: contents of the file, which may name a file of points.
+        world: transform that was applied to the poses after reconstruction, and is undone here.
     """
     present: list[Frame] = []
     missing: list[Frame] = []
@@ -129,17 +129,17 @@ def dataset_of(
 
 
 def upright_size(path: Path) -> tuple[int, int]:
-    """Returns the width and height of a photo that is turned as its EXIF orientation says."""
+    """Returns the width and height of a photo after its EXIF orientation is applied."""
     return images.size_of(path, upright=True)
 
 
 def parted(
     path: Path, views: list[View], named: dict[str, Frame], tested: set[str]
 ) -> tuple[tuple[View, ...], tuple[View, ...]]:
-    """Returns (train, test), as the capture says.
+    """Returns (train, test) views, as the capture's split defines them.
 
     Raises:
-        DatasetError: if nothing is left to train on.
+        DatasetError: if no view is left to train on.
     """
     test = tuple(view for view in views if named[view.name].name in tested)
     train = tuple(view for view in views if named[view.name].name not in tested)
@@ -151,10 +151,10 @@ def parted(
 
 
 def points_of(path: Path, contents: dict[str, Any], world: Float[np.ndarray, "4 4"] | None) -> PointCloud:
-    """Returns the points of the PLY file that is named in the file; none if none is.
+    """Returns the points of the PLY file that the capture names; an empty cloud if it names none.
 
     Raises:
-        DatasetError: if it is missing, damaged, or holds no coloured points.
+        DatasetError: if the PLY file is missing, damaged, or holds no coloured points.
     """
     name = Fields(f"{path}", contents).text("ply_file_path")
     if name is None:

@@ -1,4 +1,4 @@
-"""Turns photos of lenses that bend lines into photos of pinhole cameras."""
+"""Undistorts photos: resamples them as photos of pinhole cameras."""
 
 from collections.abc import Callable
 from functools import lru_cache, partial
@@ -12,23 +12,23 @@ from splatax.dataset import Pixels
 if TYPE_CHECKING:
     import pycolmap
 
-ENOUGH_SHRINKING = 2.0  # times: then the blur of bilinear interpolation is averaged away
+ENOUGH_SHRINKING = 2.0  # factor from which shrinking averages away the blur of bilinear interpolation
 
 
 def undistortion(
     camera: "pycolmap.Camera", shrinking: float
 ) -> "tuple[pycolmap.Camera, Callable[[Pixels], Pixels]]":
-    """Returns a pinhole for the photos of a camera, and the function that brings its photos into that form.
+    """Returns a pinhole camera for the photos of a camera, and the function that undistorts its photos.
 
     Args:
-        camera: of the photos.
+        camera: camera of the photos.
         shrinking: factor by which the result will be shrunk. Bilinear interpolation is fast, but removes half
             of a photo's finest detail (variance of its Laplacian). Photos that keep their size are therefore
             interpolated by cubic splines.
     """
     import pycolmap
 
-    # pycolmap calls all that is no fisheye a "perspective pinhole", whatever its distortion.
+    # pycolmap calls every camera that is not a fisheye a "perspective pinhole", even with distortion.
     if camera.is_perspective_pinhole() and camera.is_undistorted():
         return camera, lambda pixels: pixels
     options = pycolmap.UndistortCameraOptions()
@@ -47,11 +47,11 @@ def bilinear(camera: "pycolmap.Camera", options: "pycolmap.UndistortCameraOption
     return np.dstack([pycolmap.undistort_image(options, bitmap, camera)[0].to_array() for bitmap in bitmaps])
 
 
-Described = tuple[str, int, int, tuple[float, ...]]  # a camera as a key: model, width, height, parameters
+Described = tuple[str, int, int, tuple[float, ...]]  # hashable camera: model, width, height, parameters
 
 
 def described(camera: "pycolmap.Camera") -> Described:
-    """Returns a camera as a key."""
+    """Returns a hashable description of a camera."""
     return camera.model.name, camera.width, camera.height, tuple(camera.params.tolist())
 
 
@@ -69,9 +69,9 @@ def cubic(camera: Described, pinhole: Described, pixels: Pixels) -> Pixels:
 
 @lru_cache(maxsize=2)  # photos of one camera follow each other
 def sources(camera: Described, pinhole: Described) -> Float[np.ndarray, "2 h w"]:
-    """Returns the row and the column of the distorted photo that each pixel of the pinhole's comes from.
+    """Returns the row and column in the distorted photo from which each pixel of the pinhole's photo comes.
 
-    They are counted from the centre of the first pixel.
+    Coordinates are relative to the centre of the first pixel.
     """
     import pycolmap
 
@@ -82,5 +82,5 @@ def sources(camera: Described, pinhole: Described) -> Float[np.ndarray, "2 h w"]
     columns, rows = np.meshgrid(np.arange(straight.width) + 0.5, np.arange(straight.height) + 0.5)
     slopes = np.asarray(straight.cam_from_img(np.stack([columns.ravel(), rows.ravel()], axis=1)))
     seen = np.asarray(bent.img_from_cam(np.column_stack([slopes, np.ones(len(slopes))])))
-    # COLMAP counts pixels from the photo's corner, so centres are at halves.
+    # COLMAP's origin is the photo's corner, so pixel centres are at halves.
     return (seen - 0.5).T[::-1].reshape(2, straight.height, straight.width).astype(np.float32)

@@ -1,14 +1,14 @@
 """Reads and writes splat files; the suffix of the name decides the format.
 
-A format is a module with `load(path)`, `save(path, gaussians, comments=)`, or both, and
+A format is a module with `load(path)`, `save(path, gaussians, comments=)`, or both. It also has
 
-    comments(path)   the lines kept with the scene (beside `load`)
-    MAX_SH_DEGREE    the highest SH degree that it can hold (beside `save`)
-    LOSES            what saving loses, one sentence (beside `save`)
-    TOLERANCE        how far each number may be from the saved one, if it has both
+    comments(path)   the lines kept with the scene (required with `load`)
+    MAX_SH_DEGREE    the highest SH degree that the format can hold (required with `save`)
+    LOSES            one sentence that says which precision saving loses (required with `save`)
+    TOLERANCE        the largest error of each number after saving and loading (required with both)
 
-A reader may raise anything on a damaged file: `load` and `comments` here turn it into a `FormatError`.
-`tests/contracts/test_formats.py` holds each format to this.
+    A reader may raise any exception on a damaged file; `load` and `comments` turn it into a `FormatError`.
+    `tests/contracts/test_formats.py` tests each format against these rules.
 """
 
 import warnings
@@ -40,10 +40,10 @@ FORMATS: dict[str, ModuleType] = {
 
 
 def load(path: str | Path) -> Gaussians:
-    """Reads a splat file. All arrays of the result have one number of rows.
+    """Reads a splat file. All arrays of the result have the same number of rows.
 
     Raises:
-        FormatError: if the file is missing, of no known format, damaged, or not what its suffix says.
+        FormatError: if the file is missing, damaged, of an unknown format, or does not match its suffix.
     """
     path = Path(path)
     module = _readable(path)
@@ -52,10 +52,10 @@ def load(path: str | Path) -> Gaussians:
 
 
 def comments(path: str | Path) -> tuple[str, ...]:
-    """Returns the lines that are kept with a scene, such as `MIP`.
+    """Returns the comment lines that a file keeps with its scene, such as `MIP`.
 
     Raises:
-        FormatError: as `load`.
+        FormatError: in the cases that `load` lists.
     """
     path = Path(path)
     module = _readable(path)
@@ -64,23 +64,23 @@ def comments(path: str | Path) -> tuple[str, ...]:
 
 
 def save(path: str | Path, gaussians: Gaussians, *, comments: tuple[str, ...] = (), **options: Any) -> int:
-    """Writes a splat file, whole or not at all: a crash leaves the old file as it was.
+    """Writes a splat file atomically: a crash leaves the old file unchanged.
 
-    Empty slots are left out. So are broken Gaussians (`splatax.gaussians.broken`), with a warning
+    Empty slots are left out. Broken Gaussians (`splatax.gaussians.broken`) are left out too, with a warning
     that counts them.
 
     Args:
-        path: the suffix decides the format.
-        gaussians: the scene.
-        comments: lines to keep with it, where the format can; `MIP` is kept by all that have a
-            place for it.
-        options: of the format itself, such as `version=4` of .spz.
+        path: path of the file; its suffix selects the format.
+        gaussians: scene to write.
+        comments: lines to keep with the scene, if the format can. Every format that can mark antialiased
+            scenes keeps `MIP`.
+        options: options of the format, such as `version=4` for .spz.
 
     Returns:
-        How many Gaussians were written.
+        The number of Gaussians that were written.
 
     Raises:
-        FormatError: if no format has this suffix, or it cannot hold the scene.
+        FormatError: if no format has this suffix, or the format cannot hold the scene.
     """
     path = Path(path)
     module = format_of(path)
@@ -91,7 +91,8 @@ def save(path: str | Path, gaussians: Gaussians, *, comments: tuple[str, ...] = 
     if gaussians.sh_degree > module.MAX_SH_DEGREE:
         raise FormatError(
             f"{path}: this format holds SH up to degree {module.MAX_SH_DEGREE}, and the scene has degree "
-            f"{gaussians.sh_degree}. Reduce it (--sh-degree {module.MAX_SH_DEGREE}), or choose .ply or .spz."
+            f"{gaussians.sh_degree}. Reduce it to degree {module.MAX_SH_DEGREE} "
+            "(splatax.editing.reduce_degree), or choose .ply or .spz."
         )
     written = _written(path, gaussians)
     with required_by(f"writing {path}"):
@@ -100,10 +101,10 @@ def save(path: str | Path, gaussians: Gaussians, *, comments: tuple[str, ...] = 
 
 
 def format_of(path: Path) -> ModuleType:
-    """Returns the module for a file's suffix, the longest that fits.
+    """Returns the format whose suffix is the longest that matches a file's name.
 
     Raises:
-        FormatError: if none does.
+        FormatError: if no suffix matches.
     """
     fitting = [suffix for suffix in FORMATS if path.name.lower().endswith(suffix)]
     if not fitting:
@@ -115,7 +116,7 @@ def format_of(path: Path) -> ModuleType:
 
 
 def suffixes(ability: str) -> list[str]:
-    """Returns the suffixes of the formats that have a function of this name."""
+    """Returns the suffixes of the formats that have a function with this name, "load" or "save"."""
     return [suffix for suffix, module in FORMATS.items() if hasattr(module, ability)]
 
 
@@ -129,7 +130,7 @@ def _readable(path: Path) -> ModuleType:
 
 
 def _written(path: Path, gaussians: Gaussians) -> Gaussians:
-    """Returns the Gaussians to write: all but broken ones and empty slots."""
+    """Returns the Gaussians to write, which are all except broken ones and empty slots."""
     wrong, empty = broken(gaussians), np.isneginf(np.asarray(gaussians.opacity_logits))
     if count := int(np.sum(wrong & ~empty)):
         warnings.warn(f"{path}: left out {count:,} Gaussians that are not finite", stacklevel=3)

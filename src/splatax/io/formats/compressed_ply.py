@@ -1,11 +1,11 @@
-"""SuperSplat's compressed PLY: 256 splats share the ranges that their packed numbers run in.
+"""SuperSplat's compressed PLY: chunks of 256 splats share the ranges of their packed numbers.
 
 chunk    min/max of x y z, of the log scales, and (newer files) of the colour
 vertex   packed_position 11-10-11 bits, packed_rotation 2+3x10, packed_scale 11-10-11,
          packed_color 8-8-8-8 (RGB from DC, and opacity)
 sh       f_rest as 8 bits, channel-major as in INRIA's .ply
 
-The layout is that of PlayCanvas' splat-transform and engine.
+PlayCanvas' splat-transform and engine use the same layout.
 """
 
 import math
@@ -26,8 +26,8 @@ CHUNK = 256
 AXES = ("min_{}", "max_{}")
 POSITION, SCALE, COLOR = ("x", "y", "z"), ("scale_x", "scale_y", "scale_z"), ("r", "g", "b")
 PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
-SH_RANGE = 8.0  # 8-bit coefficients run from -4 to 4
-LARGEST_LOG_SCALE = 20.0  # absurd ones must not stretch the range of their chunk
+SH_RANGE = 8.0  # 8-bit coefficients range from -4 to 4
+LARGEST_LOG_SCALE = 20.0  # clipped: a few absurd ones would stretch the range of their chunk
 
 MAX_SH_DEGREE = 3
 LOSES = (
@@ -41,7 +41,7 @@ def load(path: Path) -> Gaussians:
     """Reads a compressed PLY.
 
     Raises:
-        FormatError: if it is something else, or damaged.
+        FormatError: if the file is not a compressed PLY, or is damaged.
     """
     table = ply_table.read(path)
     if "chunk" not in table.elements:
@@ -50,12 +50,12 @@ def load(path: Path) -> Gaussians:
 
 
 def comments(path: Path) -> tuple[str, ...]:
-    """The comments in the header."""
+    """Returns the comments in the header."""
     return ply_table.read(path).comments
 
 
 def save(path: Path, gaussians: Gaussians, *, comments: tuple[str, ...] = ()) -> None:
-    """Writes Gaussians, in Morton order, with all their harmonics up to degree 3."""
+    """Writes Gaussians in Morton order, with their spherical harmonics up to degree 3."""
     order = morton.order(np.asarray(gaussians.means))
     chunks, names = [], []
     packed = np.empty((len(order), len(PACKED)), "<u4")
@@ -84,14 +84,14 @@ def save(path: Path, gaussians: Gaussians, *, comments: tuple[str, ...] = ()) ->
         "vertex": _rows(packed, PACKED),
     }
     rest = np.asarray(gaussians.sh[:, 1:])[order]
-    if rest.any():  # there is no level for zero, and +-1/64 in all of them would tint the scene
+    if rest.any():  # no level is exactly zero, and +-1/64 in all of them would tint the scene
         levels = _sh_levels(rest)
         elements["sh"] = _rows(levels, [f"f_rest_{i}" for i in range(levels.shape[1])])
     ply_table.write(path, elements, comments)
 
 
 def decode(path: Path, table: PlyTable) -> Gaussians:
-    """Unpacks a table that has chunks.
+    """Returns the Gaussians of a table that has chunks.
 
     Raises:
         FormatError: if parts are missing or do not fit together.
@@ -128,19 +128,19 @@ def decode(path: Path, table: PlyTable) -> Gaussians:
 def _ranges(
     values: Float[np.ndarray, "n 3"],
 ) -> tuple[Float[np.ndarray, "c 3"], Float[np.ndarray, "c 3"], Float[np.ndarray, "n 3"]]:
-    """Lowest and highest of each chunk, and where between them each value lies."""
+    """Returns the minimum and maximum of each chunk, and each value's position between them in [0, 1]."""
     starts = np.arange(0, len(values), CHUNK)
     if len(starts) == 0:
         return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32), values
     low, high = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
     mine = np.arange(len(values)) // CHUNK
     spread = (high - low)[mine]
-    fractions = (values - low[mine]) / np.where(spread > 0, spread, 1)  # a range of one value is legal
+    fractions = (values - low[mine]) / np.where(spread > 0, spread, 1)  # all values of a chunk may be equal
     return low, high, np.clip(fractions, 0, 1).astype(np.float32)
 
 
 def _rows(values: np.ndarray, names) -> np.ndarray:
-    """A table's rows, from columns of one type."""
+    """Returns the rows of a table whose columns have one type."""
     dtype = np.dtype([(name, values.dtype) for name in names])
     return np.ascontiguousarray(values).view(dtype).reshape(len(values))
 

@@ -4,7 +4,7 @@
 
 Scales are linear and opacities in [0, 1] (drafts before spring 2026 had logarithms of scales:
 KhronosGroup/glTF#2563). glTF is left-up-forward, ours right-down-forward: half a turn around z.
-COLOR_0 is for viewers that know points alone.
+COLOR_0 is for viewers that can only draw points.
 """
 
 import json
@@ -25,20 +25,20 @@ from splatax.io.formats.tolerance import Tolerance
 from splatax.math import harmonics
 from splatax.transforms import half_turn
 
-FLOAT, UNSIGNED_BYTE = 5126, 5121  # glTF's names of types
-VERTICES = 34962  # of a buffer's use
+FLOAT, UNSIGNED_BYTE = 5126, 5121  # glTF's component types
+VERTICES = 34962  # glTF's buffer target for vertex attributes
 KINDS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 
 MAX_SH_DEGREE = 3
-LOSES = "Nothing but rounding: opacities and scales are stored as such, not as logits and logarithms."
+LOSES = "Only rounding: opacities and scales are stored as such, not as logits and logarithms."
 TOLERANCE = Tolerance(degrees=1e-3, log_scales=1e-5, opacities=1e-6)
 
 
 def load(path: Path) -> Gaussians:
-    """Reads all splats of a file's scene, each at its node's place.
+    """Reads all splats of a file's scene, transformed by their nodes.
 
     Raises:
-        FormatError: if it is damaged, or has none.
+        FormatError: if the file is damaged, or has no splats.
     """
     gltf, buffer = glb_scene.chunks(path)
     found = glb_scene.splats(path, gltf)
@@ -54,7 +54,7 @@ def load(path: Path) -> Gaussians:
 
 
 def comments(path: Path) -> tuple[str, ...]:
-    """Returns the lines that `save` kept in the file's extras."""
+    """Returns the comment lines that `save` wrote to the file's extras."""
     asset = glb_scene.chunks(path)[0].get("asset", {})
     return tuple(str(line) for line in asset.get("extras", {}).get("comments", ()))
 

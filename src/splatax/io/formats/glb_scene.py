@@ -1,4 +1,4 @@
-"""What lies where in a .glb: its chunks, the places of its splats, and the arrays behind accessors."""
+"""Structure of a .glb file: its chunks, the nodes with splats, and the arrays behind accessors."""
 
 import json
 from collections.abc import Iterator
@@ -15,16 +15,16 @@ EXTENSION = "KHR_gaussian_splatting"
 PREFIXES = ("POSITION", f"{EXTENSION}:")
 TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
-MAX_NODES = 10_000  # nodes that are visited: they may not form a circle, but a damaged file's may
-MAX_REPETITION = 16  # times that a file's nodes may repeat its splats, in the mean
-SMALLEST_ROW = 4 * (3 + 4 + 3 + 1 + 3)  # bytes of a Gaussian of SH degree 0, in memory
+MAX_NODES = 10_000  # nodes that are visited; valid nodes form no cycle, but those of a damaged file may
+MAX_REPETITION = 16  # mean number of times that the nodes of a file may repeat its splats
+SMALLEST_ROW = 4 * (3 + 4 + 3 + 1 + 3)  # bytes in memory of a Gaussian with SH degree 0
 
 
 def chunks(path: Path) -> tuple[dict[str, Any], bytes]:
-    """The JSON and the binary chunk.
+    """Returns the JSON chunk and the binary chunk.
 
     Raises:
-        FormatError: if it is no .glb file of version 2, or truncated.
+        FormatError: if the file is not a .glb file of version 2, or is truncated.
     """
     cursor = Cursor(path, path.read_bytes())
     magic, version, length = cursor.take("header", "<u4", 3).tolist()
@@ -43,10 +43,10 @@ def chunks(path: Path) -> tuple[dict[str, Any], bytes]:
 
 
 def splats(path: Path, gltf: dict[str, Any]) -> list[tuple[dict[str, Any], Similarity]]:
-    """The primitives with splats in the scene, and the places of their nodes.
+    """Returns the primitives of the scene that hold splats, with the transforms of their nodes.
 
     Raises:
-        FormatError: if there are none, or they are kept in a way that splatax does not know.
+        FormatError: if there are none, or their compression is not supported.
     """
     found = []
     for node, place in _nodes(path, gltf):
@@ -69,10 +69,10 @@ def splats(path: Path, gltf: dict[str, Any]) -> list[tuple[dict[str, Any], Simil
 def accessors(
     path: Path, gltf: dict[str, Any], buffer: bytes, primitive: dict[str, Any]
 ) -> dict[str, np.ndarray]:
-    """Returns the arrays of a primitive's attributes that splats are made of, as float32 of n rows.
+    """Returns the splat attributes of a primitive as float32 arrays of n rows, by name.
 
     Raises:
-        FormatError: if they have different numbers of rows, or reach beyond the buffer.
+        FormatError: if the arrays have different numbers of rows, or reach beyond the buffer.
     """
     arrays = {
         name: _accessor(path, gltf, buffer, gltf["accessors"][index])
@@ -92,10 +92,10 @@ def accessors(
 def check_repetition(
     path: Path, gltf: dict[str, Any], buffer: bytes, primitives: list[dict[str, Any]]
 ) -> None:
-    """Refuses a file whose nodes repeat its splats so often that no memory would be enough.
+    """Refuses a file whose nodes repeat its splats so often that memory would run out.
 
     Raises:
-        FormatError: if they do.
+        FormatError: if the nodes ask for too many Gaussians.
     """
     counts = [gltf["accessors"][primitive["attributes"]["POSITION"]]["count"] for primitive in primitives]
     if SMALLEST_ROW * sum(counts) > max(ALWAYS_ALLOWED, MAX_REPETITION * len(buffer)):
@@ -120,7 +120,7 @@ def _nodes(path: Path, gltf: dict[str, Any]) -> Iterator[tuple[dict[str, Any], S
 
 
 def _place(node: dict[str, Any]) -> Similarity:
-    """Of a node in its parent. Splats cannot be sheared or stretched along one axis alone."""
+    """Returns the transform from a node to its parent. Splats cannot be sheared or scaled unevenly."""
     if "matrix" in node:
         matrix = np.array(node["matrix"], np.float64).reshape(4, 4).T
         scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
@@ -148,7 +148,7 @@ def _accessor(path: Path, gltf: dict[str, Any], buffer: bytes, accessor: dict[st
     if min(count, start, stride - width * dtype.itemsize) < 0:
         raise FormatError(f"{path}: damaged: an accessor with a negative size.")
     cursor = Cursor(path, buffer, start)
-    if count:  # the last row need not be followed by the rest of its stride
+    if count:  # the last row may lack the padding up to its stride
         cursor.take("vertices", "u1", stride * (count - 1) + width * dtype.itemsize)
     rows = (
         np.ndarray((count, width), dtype, buffer, start, (stride, dtype.itemsize))

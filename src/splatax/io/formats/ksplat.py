@@ -1,14 +1,14 @@
-"""mkkellogg's .ksplat, of a three.js viewer that is no longer developed: reading alone.
+"""mkkellogg's .ksplat, the format of a three.js viewer that is no longer developed. It can only be read.
 
-A header of 4096 bytes, one of 1024 for each section, then the sections: sizes of the buckets that
-are not full, centres of all buckets, and a row for each Gaussian.
+The file has a header of 4096 bytes, a header of 1024 bytes for each section, then the sections. A section
+holds the sizes of the buckets that are not full, the centres of all buckets, and a row for each Gaussian.
 
     level 0   float32 position, linear scale, rotation (w, x, y, z); RGBA8; float32 SH
     level 1   uint16 position within the bucket, float16 scale, rotation; RGBA8; float16 SH
-    level 2   as 1, with SH of 8 bits
+    level 2   like level 1, with 8-bit SH
 
-SH goes band by band, within a band all of red, then of green, then of blue. The layout is that of
-GaussianSplats3D's SplatBuffer.js, version 0.1.
+    SH is stored band by band; within a band all of red, then of green, then of blue. SplatBuffer.js of
+    GaussianSplats3D, version 0.1, defines the layout.
 """
 
 from dataclasses import dataclass
@@ -26,17 +26,17 @@ from splatax.math import harmonics
 HEADER, SECTION = 4096, 1024  # bytes
 MAX_SECTIONS = 1 << 16
 TYPES = (("<f4", "<f4", "<f4"), ("<u2", "<f2", "<f2"), ("<u2", "<f2", "u1"))  # position, shape, SH
-SH_RANGE = (-1.5, 1.5)  # of 8-bit SH where the header has zeros
-POSITION_LEVELS = 32767  # to each side of a bucket's centre, where a section has zero
+SH_RANGE = (-1.5, 1.5)  # range of 8-bit SH if the header has zeros
+POSITION_LEVELS = 32767  # levels to each side of a bucket's centre, if a section's header has zero
 MAX_DEGREE = 3
 
 
 @dataclass(frozen=True)
 class Section:
-    """The numbers of a section's header."""
+    """Numbers of a section's header."""
 
     count: int
-    capacity: int  # rows that there is room for
+    capacity: int  # rows that the section has space for
     bucket_size: int
     buckets: int
     block: float  # side of a bucket, world units
@@ -48,7 +48,7 @@ class Section:
 
     @classmethod
     def parse(cls, header: np.ndarray) -> "Section":
-        """From its 1024 bytes."""
+        """Reads a section's header from its 1024 bytes."""
         words, shorts = header.view("<u4"), header.view("<u2")
         block = float(header.view("<f4")[4])
         levels = int(words[6]) or POSITION_LEVELS
@@ -63,7 +63,7 @@ def load(path: Path) -> Gaussians:
     """Reads all sections.
 
     Raises:
-        FormatError: if it is no .ksplat file, or damaged.
+        FormatError: if the file is not a .ksplat file, or is damaged.
     """
     cursor = Cursor(path, path.read_bytes())
     header = cursor.take("header", "u1", HEADER)
@@ -89,7 +89,7 @@ def load(path: Path) -> Gaussians:
 
 
 def comments(path: Path) -> tuple[str, ...]:
-    """None: the format has no place for them."""
+    """Returns no comments, because the format cannot hold any."""
     return ()
 
 
@@ -125,7 +125,7 @@ def _section(cursor: Cursor, section: Section, level: int, sh_range: tuple[float
         higher = np.float32(sh_range[0]) + higher / 255 * np.float32(sh_range[1] - sh_range[0])
     sh = np.zeros((section.count, harmonics.count(degree), 3), np.float32)
     sh[:, :1] = dc
-    for band in range(1, min(section.degree, degree) + 1):  # an empty section may have a degree of its own
+    for band in range(1, min(section.degree, degree) + 1):  # an empty section may have another degree
         first, last = band**2, (band + 1) ** 2
         channels = higher[:, 3 * (first - 1) : 3 * (last - 1)].reshape(section.count, 3, last - first)
         sh[:, first:last] = channels.transpose(0, 2, 1)
@@ -134,7 +134,7 @@ def _section(cursor: Cursor, section: Section, level: int, sh_range: tuple[float
 
 
 def _bucket_of(path: Path, section: Section, partial_sizes: np.ndarray) -> np.ndarray:
-    """The index of each Gaussian's bucket: full ones come first, then those with sizes of their own."""
+    """Returns the index of each Gaussian's bucket. Full buckets come first, then those with a given size."""
     full = section.full * section.bucket_size
     ends = full + np.cumsum(partial_sizes, dtype=np.int64)
     rows = np.arange(section.count)

@@ -1,9 +1,9 @@
-"""The comment that tells how a scene is to be drawn."""
+"""Comments in scene files that say whether a scene was trained with antialiasing."""
 
-MIP = "SplatRenderMode: mip"  # it was trained with antialiasing
+MIP = "SplatRenderMode: mip"  # trained with antialiasing
 PLAIN = "SplatRenderMode: default"
 
 
 def mark(antialiased: bool) -> str:
-    """The comment for a scene."""
+    """Returns the comment that marks a scene."""
     return MIP if antialiased else PLAIN

@@ -1,9 +1,9 @@
-"""INRIA's .ply, which every splatting tool reads. (SuperSplat's compressed .ply is recognised too.)
+"""INRIA's .ply, which every splatting tool reads. SuperSplat's compressed .ply is recognised too.
 
     x y z  nx ny nz  f_dc_0..2  f_rest_0..(3K-1)  opacity  scale_0..2  rot_0..3         all float32
 
 Opacity is a logit, scales are logarithms, rotations are (w, x, y, z). `f_rest` is channel-major:
-all K higher coefficients of red, then of green, then of blue. Normals are zeros. Lossless.
+all K higher coefficients of red, then of green, then of blue. Normals are zeros. The format is lossless.
 """
 
 from pathlib import Path
@@ -32,12 +32,12 @@ TOLERANCE = Tolerance()
 
 
 def load(path: Path) -> Gaussians:
-    """Reads columns by name: their order, other columns, normals and double precision do not matter.
+    """Reads columns by name, in any order and precision; other columns are ignored.
 
-    Without `scale_2` Gaussians are flat (2DGS); without `f_dc`, 8-bit red, green and blue serve.
+    A file without `scale_2` has flat Gaussians (2DGS). A file without `f_dc` has 8-bit red, green and blue.
 
     Raises:
-        FormatError: if it is not a PLY file of splats, or is truncated.
+        FormatError: if the file is not a PLY file of splats, or is truncated.
     """
     table = ply_table.read(path)
     if "chunk" in table.elements:
@@ -88,7 +88,7 @@ def save(path: Path, gaussians: Gaussians, *, comments: tuple[str, ...] = ()) ->
 
 
 def comments(path: Path) -> tuple[str, ...]:
-    """The comments in the header."""
+    """Returns the comments in the header."""
     return ply_table.read(path).comments
 
 

@@ -1,4 +1,4 @@
-"""The container: a PLY file as named columns of numbers, whatever they mean."""
+"""Reads and writes PLY files as tables of named columns, independent of their meaning."""
 
 import os
 from dataclasses import dataclass
@@ -16,24 +16,24 @@ TYPES = {
     "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
     "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
 }  # fmt: skip
-NAMES = {"f4": "float", "u4": "uint", "u1": "uchar"}  # of the types that are written
+NAMES = {"f4": "float", "u4": "uint", "u1": "uchar"}  # PLY's names of the types that are written
 ENDIANNESS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
-LONGEST_HEADER = 1 << 20  # bytes; a file without an end_header is not read to its end
+LONGEST_HEADER = 1 << 20  # bytes; a file without end_header is read no further
 
 
 @dataclass(frozen=True)
 class PlyTable:
-    """Comments, and the rows of each element, as structured arrays."""
+    """Comments of a PLY file, and the rows of each element as a structured array."""
 
     comments: tuple[str, ...]
     elements: dict[str, np.ndarray]
 
 
 def read(path: Path) -> PlyTable:
-    """Reads a PLY file of fixed-size properties; what follows a list property is left out.
+    """Reads a PLY file of fixed-size properties; an element with a list, and all after it, are left out.
 
     Raises:
-        FormatError: if it is no PLY file, or shorter than its header says.
+        FormatError: if the file is not a PLY file, or is shorter than its header says.
     """
     with path.open("rb") as file:
         lines, start = _header_of(path, file.read(LONGEST_HEADER))
@@ -48,7 +48,7 @@ def read(path: Path) -> PlyTable:
                 continue
             dtype = np.dtype([(column, ENDIANNESS[form] + kind) for column, kind in fields.items()])
             if form == "ascii":
-                if len(fields) * count > remaining:  # not even a digit for each number
+                if len(fields) * count > remaining:  # less than one digit for each number
                     raise FormatError(
                         f"{path}: truncated: {count:,} {shown(name)} rows do not fit in this file."
                     )
@@ -65,7 +65,7 @@ def read(path: Path) -> PlyTable:
 
 
 def write(path: Path, elements: dict[str, np.ndarray], comments: tuple[str, ...]) -> None:
-    """Writes structured arrays as elements, little-endian, whole or not at all."""
+    """Writes structured arrays as little-endian elements. A crash leaves the old file unchanged."""
     header = ["ply", "format binary_little_endian 1.0", *(f"comment {line}" for line in comments)]
     for element, rows in elements.items():
         header.append(f"element {element} {len(rows)}")
@@ -86,7 +86,7 @@ def _header_of(path: Path, beginning: bytes) -> tuple[list[str], int]:
 
 
 def _parse(path: Path, lines: list[str]):
-    """(form, comments, [(element, count, {property: type}, or None where it has lists)])."""
+    """Returns (form, comments, [(element, count, {property: type}, or None if it has lists)])."""
     form = ""
     comments: list[str] = []
     layout: list[tuple[str, int, dict[str, str] | None]] = []

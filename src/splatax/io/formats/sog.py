@@ -1,11 +1,11 @@
-"""PlayCanvas' .sog (version 2): textures of lossless WebP and a meta.json, in a zip or a folder.
+"""PlayCanvas' .sog (version 2): lossless WebP textures and a meta.json, in a zip file or a folder.
 
     means_l, means_u   16 bits of sign(x) log(1 + |x|), between mins and maxs
     quats              the smallest three, times sqrt 2, in 8 bits; A is 252 + the index of the largest
     scales, sh0        indices into codebooks of log scales and of DC; sh0's A is opacity
     shN                a label for each Gaussian, into a palette of all its higher coefficients
 
-A Gaussian is the same pixel of every texture but the palette. The frame is ours.
+A Gaussian is the same pixel in every texture except the palette. Its axes are those of splatax.
 (developer.playcanvas.com/user-manual/gaussian-splatting/formats/sog)
 """
 
@@ -31,11 +31,11 @@ from splatax.math import clusters, harmonics, morton
 
 META = "meta.json"
 MAX_META = 1 << 20  # bytes
-TEXTURES = 6  # of 4 bytes a Gaussian
-COLUMNS = 64  # palette entries in a row of its texture
+TEXTURES = 6  # each of 4 bytes per Gaussian
+COLUMNS = 64  # palette entries in a row of the texture
 MAX_PALETTE = 65_536  # entries; labels have 16 bits
 CODES = 256
-LARGEST_ROTATION = 252  # in A of quats: 252 to 255 for w, x, y, z
+LARGEST_ROTATION = 252  # in channel A of quats: 252 to 255 for w, x, y, z
 
 MAX_SH_DEGREE = 3
 LOSES = (
@@ -46,7 +46,7 @@ TOLERANCE = Tolerance(means=1e-4, degrees=1.1, log_scales=0.02, opacities=3e-3, 
 
 
 class Folder:
-    """The files of a scene: in a zip, or beside a meta.json."""
+    """Files of a scene, in a zip file or beside a meta.json."""
 
     def __init__(self, path: Path):
         self.path = path
@@ -54,7 +54,7 @@ class Folder:
         self.stored = path.stat().st_size if self.zip else 0
 
     def read(self, name: str, limit: int) -> bytes:
-        """A file of at most `limit` bytes."""
+        """Reads a file of at most `limit` bytes."""
         if self.zip:
             with self.zip.open(name) as file:
                 contents = file.read(limit + 1)
@@ -68,7 +68,7 @@ class Folder:
         return contents
 
     def meta(self) -> dict[str, Any]:
-        """What meta.json says."""
+        """Reads meta.json."""
         name = self.path.name if self.zip is None else META
         meta = json.loads(self.read(name, MAX_META))
         if meta.get("version") != 2:
@@ -79,10 +79,10 @@ class Folder:
         return meta
 
     def texture(self, name: str, pixels: int) -> UInt8[np.ndarray, "n 4"]:
-        """The first pixels of an image.
+        """Reads the first pixels of an image.
 
         Raises:
-            FormatError: if it has fewer, or absurdly many.
+            FormatError: if the image has fewer pixels, or far more.
         """
         from PIL import Image
 
@@ -98,10 +98,10 @@ class Folder:
 
 
 def load(path: Path) -> Gaussians:
-    """Reads a zip, or a folder by its meta.json.
+    """Reads a zip file, or a folder given its meta.json.
 
     Raises:
-        FormatError: if it is neither, or damaged.
+        FormatError: if the file is neither, or is damaged.
     """
     folder = Folder(path)
     meta = folder.meta()
@@ -132,17 +132,17 @@ def load(path: Path) -> Gaussians:
 
 
 def comments(path: Path) -> tuple[str, ...]:
-    """The lines that `save` kept, and the mark of antialiasing, whoever made it."""
+    """Returns the comment lines that `save` wrote, and the mark of antialiasing that any tool wrote."""
     meta = Folder(path).meta()
     lines = [str(line) for line in (meta.get("extras") or {}).get("comments", ())]
     return tuple(dict.fromkeys([*lines, *([MIP] if meta.get("antialias") else [])]))
 
 
 def save(path: Path, gaussians: Gaussians, *, comments: tuple[str, ...] = ()) -> None:
-    """Writes a zip, in Morton order.
+    """Writes a zip file, with Gaussians in Morton order.
 
     Raises:
-        FormatError: if there is nothing to write.
+        FormatError: if the scene is empty.
     """
     if len(gaussians) == 0:
         raise FormatError(f"{path}: a SOG file needs at least one Gaussian.")
@@ -154,7 +154,7 @@ def save(path: Path, gaussians: Gaussians, *, comments: tuple[str, ...] = ()) ->
     largest, others = packing.smallest_three(packing.unit(np.asarray(gaussians.quats)[order]))
     rotations = packing.levels(others / packing.SQRT_HALF / 2 + np.float32(0.5), 255)
     log_scales = packing.finite_log_scales(np.asarray(gaussians.log_scales)[order]).ravel()
-    # An error is seen the more the larger a Gaussian is.
+    # Errors are more visible in larger Gaussians.
     seen = np.exp(log_scales.astype(np.float64) - log_scales.max())
     scales, scale_of = clusters.codebook(log_scales, CODES, weights=seen)
     colors, color_of = clusters.codebook(np.asarray(gaussians.sh[:, 0])[order].ravel(), CODES)
@@ -182,7 +182,7 @@ def save(path: Path, gaussians: Gaussians, *, comments: tuple[str, ...] = ()) ->
         meta["shN"], palette = _save_palette(np.asarray(gaussians.sh[:, 1:])[order])
         files |= palette
     archive = io.BytesIO()
-    with zipfile.ZipFile(archive, "w") as zipped:  # stored: WebP does not compress further
+    with zipfile.ZipFile(archive, "w") as zipped:  # stored, because WebP does not compress further
         for name, contents in {META: json.dumps(meta).encode(), **files}.items():
             zipped.writestr(zipfile.ZipInfo(name), contents)
     write_whole(path, archive.getvalue())
@@ -194,7 +194,7 @@ def _codes(part: dict[str, Any]) -> Float[np.ndarray, " 256"]:
 
 
 def _palette(folder: Folder, part: dict[str, Any], count: int) -> Float[np.ndarray, "n k 3"]:
-    """Each Gaussian's higher coefficients."""
+    """Returns each Gaussian's higher SH coefficients."""
     entries, bands = int(part["count"]), int(part["bands"])
     if not (1 <= entries <= MAX_PALETTE and 1 <= bands <= MAX_SH_DEGREE):
         raise FormatError(f"{folder.path}: damaged: a palette of {entries:,} entries with {bands} bands.")
@@ -222,7 +222,7 @@ def _save_palette(rest: Float[np.ndarray, "n k 3"]) -> tuple[dict[str, Any], dic
 
 
 def _square(values: np.ndarray) -> np.ndarray:
-    """One row a Gaussian as an image, its sides multiples of 4."""
+    """Returns one row per Gaussian as an image whose sides are multiples of 4."""
     width = math.ceil(math.sqrt(len(values)) / 4) * 4
     height = math.ceil(len(values) / width / 4) * 4
     padded = np.zeros((width * height, values.shape[1]), np.uint8)
@@ -231,7 +231,10 @@ def _square(values: np.ndarray) -> np.ndarray:
 
 
 def _webp(pixels: np.ndarray) -> bytes:
-    """Lossless, with the colours under transparent pixels kept. (More effort saves nothing.)"""
+    """Encodes an image as lossless WebP that keeps the colours of transparent pixels.
+
+    A higher `method` does not make the file smaller.
+    """
     from PIL import Image
 
     file = io.BytesIO()

@@ -1,4 +1,4 @@
-"""A SOG scene that is not zipped: its meta.json, with the textures beside it. Reading alone."""
+"""SOG scenes that are not zipped: a meta.json with the textures beside it. They can only be read."""
 
 from splatax.io.formats.sog import comments as comments
 from splatax.io.formats.sog import load as load

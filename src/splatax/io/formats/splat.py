@@ -1,8 +1,8 @@
-"""antimatter15's .splat, which every web viewer reads: 32 bytes a Gaussian, and no header.
+"""antimatter15's .splat, which every web viewer reads: 32 bytes per Gaussian, and no header.
 
     float32 position[3]   float32 scale[3]   uint8 RGBA   uint8 rotation (w, x, y, z) * 128 + 128
 
-Scales are linear. The most important come first, so that a viewer can begin before it has all.
+Scales are linear. The most important Gaussians come first, so that a viewer can start to draw early.
 """
 
 from pathlib import Path
@@ -19,7 +19,7 @@ from splatax.math import harmonics
 
 ROW = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
 
-MAX_SH_DEGREE = 4  # of what is accepted: only the first coefficient is written
+MAX_SH_DEGREE = 4  # accepted degree; only the first coefficient is written
 LOSES = (
     "All view dependence (SH above degree 0); colours and opacities are rounded to 8 bits and clipped "
     "to 0-1, rotations to 8 bits; the order changes."
@@ -28,10 +28,10 @@ TOLERANCE = Tolerance(degrees=1.5, log_scales=1e-5, opacities=3e-3, dc=0.01, sh=
 
 
 def load(path: Path) -> Gaussians:
-    """Reads Gaussians of one colour from all sides.
+    """Reads Gaussians whose colour does not depend on the view.
 
     Raises:
-        FormatError: if it cannot be a .splat file. There is no mark to tell one by.
+        FormatError: if the bytes cannot be those of a .splat file. The format has no magic number.
     """
     contents = path.read_bytes()
     if len(contents) % ROW.itemsize:
@@ -40,7 +40,7 @@ def load(path: Path) -> Gaussians:
             f"{ROW.itemsize}. Copy the file again."
         )
     rows = np.frombuffer(contents, ROW)
-    # Negated, so that NaN is caught too.
+    # The condition is negated so that it catches NaN too.
     if not (
         np.isfinite(rows["mean"]).all() and (rows["scale"] >= 0).all() and (rows["scale"] < np.inf).all()
     ):
@@ -58,12 +58,12 @@ def load(path: Path) -> Gaussians:
 
 
 def comments(path: Path) -> tuple[str, ...]:
-    """None: the format has no place for them."""
+    """Returns no comments, because the format cannot hold any."""
     return ()
 
 
 def save(path: Path, gaussians: Gaussians, *, comments: tuple[str, ...] = ()) -> None:
-    """Writes the constant colour of each Gaussian. Comments are not kept."""
+    """Writes the view-independent colour of each Gaussian. Comments are not kept."""
     rows = np.empty(len(gaussians), ROW)
     rows["mean"] = np.asarray(gaussians.means)
     rows["scale"] = np.exp(np.minimum(np.asarray(gaussians.log_scales), np.float32(80)))

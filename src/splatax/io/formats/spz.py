@@ -34,13 +34,13 @@ from splatax.transforms import half_turn
 
 MAGIC = b"NGSP"
 HEADER = struct.Struct("<4sIIBBBB")  # the last byte is the number of streams in version 4
-HEADER_4 = struct.Struct("<4sIIBBBBI12x")  # and where their table of contents is
+HEADER_4 = struct.Struct("<4sIIBBBBI12x")  # adds the offset of the streams' table of contents
 ANTIALIASED, EXTENDED = 1, 2  # flags
-TRAILER = 1 << 16  # bytes of extensions after the data that are passed over
+TRAILER = 1 << 16  # most bytes of extensions after the data, which are skipped
 DEFAULT_FRACTIONAL_BITS = 12
 COLOR_SCALE = 0.15
-XYZW = [1, 2, 3, 0]  # from our order of a quaternion's parts; and [3, 0, 1, 2] back
-BUCKETS = (8, 16)  # levels that one stands for, of SH degree 1 and above: they compress better
+XYZW = [1, 2, 3, 0]  # from splatax's order of quaternion components; [3, 0, 1, 2] is the inverse
+BUCKETS = (8, 16)  # levels merged into one, for SH degree 1 and for higher ones; larger compresses better
 
 MAX_SH_DEGREE = 4
 LOSES = (
@@ -52,7 +52,7 @@ TOLERANCE = Tolerance(means=1.1e-4, degrees=0.28, log_scales=0.032, opacities=3e
 
 @dataclass(frozen=True)
 class Header:
-    """What a file says of itself."""
+    """Header of a file."""
 
     version: int
     count: int
@@ -63,13 +63,13 @@ class Header:
     contents: int = 0  # offset of the table of contents in version 4
 
     def row_sizes(self) -> tuple[int, ...]:
-        """Returns the bytes of one Gaussian's position, alpha, colour, scales, rotation and SH."""
+        """Returns the number of bytes of one Gaussian's position, alpha, colour, scales, rotation and SH."""
         rest = 3 * (harmonics.count(self.degree) - 1)
         position, rotation = 6 if self.version == 1 else 9, 4 if self.version >= 3 else 3
         return position, 1, 3, 3, rotation, rest
 
     def sizes(self) -> list[int]:
-        """Returns the bytes of all positions, alphas, colours, scales, rotations and SH."""
+        """Returns the number of bytes of all positions, alphas, colours, scales, rotations and SH."""
         return [self.count * size for size in self.row_sizes()]
 
 
@@ -77,7 +77,7 @@ def load(path: Path) -> Gaussians:
     """Reads versions 1 to 4.
 
     Raises:
-        FormatError: if it is no SPZ file, damaged, or truncated.
+        FormatError: if the file is not an SPZ file, is damaged, or is truncated.
     """
     contents = path.read_bytes()
     header = _header(path, contents)
@@ -88,7 +88,7 @@ def load(path: Path) -> Gaussians:
 
 
 def comments(path: Path) -> tuple[str, ...]:
-    """The mark of scenes that were trained with antialiasing."""
+    """Returns the mark of antialiasing, if the file has it."""
     return (MIP,) if _header(path, path.read_bytes()).flags & ANTIALIASED else ()
 
 
@@ -100,18 +100,18 @@ def save(
     version: int = 3,
     buckets: tuple[int, int] = BUCKETS,
 ) -> None:
-    """Writes version 3, which most software reads, or 4.
+    """Writes SPZ version 3, which most software reads, or version 4.
 
     Args:
-        path: of the file.
-        gaussians: the scene.
+        path: path of the file.
+        gaussians: scene to write.
         comments: see `formats.save`.
         version: 3 or 4.
-        buckets: levels of 8-bit SH that one stands for, of degree 1 and above; fewer are finer and
-            larger.
+        buckets: numbers of 8-bit levels that are merged into one, for SH degree 1 and for higher degrees.
+            Smaller numbers are more precise and make larger files.
 
     Raises:
-        FormatError: if the scene is too large for its numbers.
+        FormatError: if a position is too far away for the format.
     """
     gaussians = half_turn(gaussians, axis=0)
     bits = _fractional_bits(path, gaussians)
@@ -153,11 +153,11 @@ def _header(path: Path, contents: bytes) -> Header:
 
 
 def _streams(path: Path, contents: bytes, header: Header) -> list[UInt8[np.ndarray, "n bytes"]]:
-    """The bytes of each attribute, one row a Gaussian."""
+    """Returns the bytes of each attribute, one row per Gaussian."""
     sizes = header.sizes()
     if header.version == 4:
         body = b"".join(_zstandard_streams(path, contents, header, [size for size in sizes if size]))
-    elif contents[:4] == MAGIC:  # plain, as some tests of other software are
+    elif contents[:4] == MAGIC:  # not compressed, like some test files of other software
         body = contents[HEADER.size :]
     else:
         limit = HEADER.size + sum(sizes) + TRAILER
@@ -197,7 +197,7 @@ def _decode(header: Header, positions, alphas, colors, scales, rotations, sh) ->
         means = np.ascontiguousarray(positions).view("<f2").astype(np.float32)
     else:
         b = positions.reshape(n, 3, 3).astype(np.int32)
-        fixed = (b[..., 0] | b[..., 1] << 8 | b[..., 2] << 16) << 8 >> 8  # with the sign of 24 bits
+        fixed = (b[..., 0] | b[..., 1] << 8 | b[..., 2] << 16) << 8 >> 8  # sign-extended from 24 bits
         means = np.ldexp(fixed.astype(np.float32), -header.fractional_bits)
     if header.version >= 3:
         words = packing.unpack(np.ascontiguousarray(rotations).view("<u4")[:, 0], 2, *[1, 9] * 3)
@@ -220,7 +220,7 @@ def _decode(header: Header, positions, alphas, colors, scales, rotations, sh) ->
 def _encode(
     path: Path, gaussians: Gaussians, fractional_bits: int, buckets: tuple[int, int]
 ) -> list[np.ndarray]:
-    """Positions, alphas, colours, scales, rotations and SH, as in the file."""
+    """Returns positions, alphas, colours, scales, rotations and SH in the file's encoding."""
     fixed = np.rint(np.ldexp(np.asarray(gaussians.means, np.float64), fractional_bits)).astype("<i4")
     largest, others = packing.smallest_three(packing.unit(np.asarray(gaussians.quats))[:, XYZW])
     magnitudes = packing.levels(np.abs(others) / packing.SQRT_HALF, 511)
@@ -245,7 +245,10 @@ def _encode(
 
 
 def _fractional_bits(path: Path, gaussians: Gaussians) -> int:
-    """As many as leave room for the farthest position, and no more than usual unless Gaussians are tiny."""
+    """Returns the number of fractional bits that fits the farthest position.
+
+    It is above the default only if Gaussians are tiny.
+    """
     if len(gaussians) == 0:
         return DEFAULT_FRACTIONAL_BITS
     farthest = float(np.abs(np.asarray(gaussians.means)).max())
@@ -255,5 +258,5 @@ def _fractional_bits(path: Path, gaussians: Gaussians) -> int:
             f"{path}: SPZ has no number for a position as far as {farthest:.3g}. Clean the scene first."
         )
     typical = float(np.exp(np.median(np.asarray(gaussians.log_scales))))
-    fine = int(np.ceil(np.log2(10 / max(typical, 1e-6))))  # a tenth of a Gaussian
+    fine = int(np.ceil(np.log2(10 / max(typical, 1e-6))))  # resolves a tenth of a typical Gaussian's size
     return min(room, max(fine, DEFAULT_FRACTIONAL_BITS))

@@ -1,19 +1,19 @@
-"""How far a scene may be from what was saved: each format states its own, and a test holds it to that."""
+"""Largest errors of a scene after saving and loading; each format declares its own, and a test checks it."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Tolerance:
-    """Largest differences for a scene of ordinary numbers; zero where a format keeps every bit.
+    """Largest differences for a scene of ordinary numbers; zero if a format keeps every bit.
 
     Attributes:
-        means: as a fraction of the scene's size.
-        degrees: of rotation.
-        log_scales: natural logarithms.
-        opacities: in [0, 1].
-        dc: the constant SH coefficient; colour is about 0.28 of it.
-        sh: higher coefficients; None if the format has none.
+        means: centres, as a fraction of the scene's size.
+        degrees: angle of the rotation.
+        log_scales: natural logarithms of the scales.
+        opacities: opacities in [0, 1].
+        dc: constant SH coefficient; colour is about 0.28 times it.
+        sh: higher SH coefficients; None if the format has none.
     """
 
     means: float = 0.0

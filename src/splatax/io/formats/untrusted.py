@@ -1,4 +1,4 @@
-"""Reading bytes that anybody may have made: a file's claims are checked before memory is allocated."""
+"""Reads untrusted bytes: sizes in a file are checked before memory is allocated."""
 
 import zlib
 from contextlib import AbstractContextManager
@@ -10,13 +10,13 @@ import numpy as np
 from splatax.errors import FormatError
 from splatax.io.damage import blamed_on
 
-MAX_EXPANSION = 1024  # times the file's size; about what deflate can reach
+MAX_EXPANSION = 1024  # times the file's size; about the maximum of deflate
 ALWAYS_ALLOWED = 64 << 20  # bytes that even a tiny file may unpack to
 
 
 @dataclass
 class Cursor:
-    """Takes arrays from the bytes of a file, one after the other."""
+    """Position in the bytes of a file, from which arrays are taken one after the other."""
 
     path: Path
     contents: bytes
@@ -26,7 +26,7 @@ class Cursor:
         """Returns the next array, a view of the bytes.
 
         Args:
-            what: name of the array, for the error message.
+            what: name of the array for the error message.
             dtype: NumPy's type code, with its byte order.
             shape: shape of the array.
 
@@ -45,10 +45,10 @@ class Cursor:
 
 
 def check_expansion(path: Path, unpacked: int, stored: int) -> None:
-    """Refuses a file that would unpack to far more than any real scene does.
+    """Refuses a file that would unpack to far more bytes than any real scene has.
 
     Raises:
-        FormatError: if the file would.
+        FormatError: if the expansion is too large.
     """
     if unpacked > max(ALWAYS_ALLOWED, MAX_EXPANSION * stored):
         raise FormatError(
@@ -60,7 +60,7 @@ def inflate(path: Path, contents: bytes, limit: int) -> bytes:
     """Unpacks a gzip stream, at most `limit` bytes of it.
 
     Raises:
-        FormatError: if it is damaged, or ends before it should.
+        FormatError: if the stream is damaged or truncated.
     """
     stream = zlib.decompressobj(zlib.MAX_WBITS | 16)
     try:
@@ -75,5 +75,5 @@ def inflate(path: Path, contents: bytes, limit: int) -> bytes:
 
 
 def structured(path: Path, kind: str) -> AbstractContextManager[None]:
-    """Turns whatever a reader raises while it follows a file's own structure into a `FormatError`."""
+    """Turns any exception that a reader raises on a damaged file into a `FormatError`."""
     return blamed_on(path, f"not a valid {kind} file", "Get the file again.", FormatError)

@@ -120,7 +120,7 @@ def test_poses_that_were_found_are_kept_until_there_are_more_matches(photos, tmp
 def test_half_a_reconstruction_is_not_gone_on_with_otherwise(photos, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         reconstruct(photos, tmp_path, watch=stop_at("features"))
-    with pytest.raises(InputError, match="half a reconstruction that was started otherwise"):
+    with pytest.raises(InputError, match="unfinished reconstruction with other settings"):
         reconstruct(photos, tmp_path, seed=1)
 
 

@@ -114,7 +114,7 @@ def test_an_unbuilt_viewer_is_named_with_the_command_that_builds_it(tmp_path, mo
 
 
 def test_what_cannot_be_shown_is_refused(tmp_path, stub):
-    with pytest.raises(sx.FormatError, match=r"page\.html: .*degree 4.*--sh-degree 3"):
+    with pytest.raises(sx.FormatError, match=r"page\.html: .*degree 4.*Reduce it to degree 3"):
         web.save(tmp_path / "page.html", random_gaussians(degree=4), title="page")
     nothing = replace(SCENE, **{name: leaf[:0] for name, leaf in vars(SCENE).items()})
     with pytest.raises(sx.FormatError, match="no Gaussians"):

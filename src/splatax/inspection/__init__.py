@@ -1,4 +1,4 @@
-"""The data doctor: whether a capture will make a good scene, and what would make it better."""
+"""Inspection of captures: finds problems that would spoil a scene, and suggests how to repair them."""
 
 from splatax.inspection.examination import Examination as Examination
 from splatax.inspection.examination import examine as examine

@@ -1,4 +1,4 @@
-"""All that is measured of a capture, before anything is made of it."""
+"""Measurements of a capture before training."""
 
 import os
 from dataclasses import dataclass, field
@@ -12,24 +12,24 @@ from splatax.io import images
 from splatax.runs import forecast
 from splatax.training.recipes import room_for
 
-LOOKING, MASKS = 5.0, 24  # seconds for photos; masks that are decoded
+LOOKING, MASKS = 5.0, 24  # seconds spent on photos; number of masks that are decoded
 
 
 @dataclass(frozen=True)
 class Examination:
-    """What was found.
+    """Measurements of a capture, or of photos without poses.
 
     Attributes:
-        path: of the capture.
-        dataset: its views; None of photos without poses.
-        photos: all on disk, by name.
-        looks: of those that there was time for.
-        errors: median reprojection error by view, pixels.
-        coverage: share of pixels that count, by view, of a sample of those with masks.
-        gaussians: how many the default recipe would use.
-        memory: that training would then need, bytes.
-        available: memory that is free here, bytes; None if unknown.
-        seconds: that training would then take; None if that was not measured.
+        path: path of the capture.
+        dataset: the capture; None for photos without poses.
+        photos: paths of all photos on disk, by name.
+        looks: appearance of the photos that there was time for, by name.
+        errors: median reprojection error of each view, pixels, by name.
+        coverage: fraction of unmasked pixels, by name, for a sample of the views with masks.
+        gaussians: number of Gaussians that the default recipe would use.
+        memory: memory that training would then need, bytes.
+        available: free memory of this machine, bytes; None if unknown.
+        seconds: time that training would then take; None if it was not measured.
     """
 
     path: Path
@@ -49,11 +49,11 @@ class Examination:
 
 
 def examine(path: Path, dataset: Dataset | None) -> Examination:
-    """Looks at a capture, or at photos without poses, for some seconds.
+    """Measures a capture, or photos without poses, which takes a few seconds.
 
     Args:
-        path: of the capture, or of a folder of photos.
-        dataset: the capture; None where there are photos alone.
+        path: path of the capture, or of a folder of photos.
+        dataset: the capture; None for photos without poses.
     """
     if dataset is None:
         photos = {p.relative_to(path).as_posix(): p for p in sorted(path.rglob("*")) if images.is_image(p)}
@@ -79,7 +79,7 @@ def examine(path: Path, dataset: Dataset | None) -> Examination:
 
 
 def available_memory() -> int | None:
-    """Bytes that are free; None where the system does not tell."""
+    """Returns the free memory in bytes; None if the system does not report it."""
     try:
         lines = Path("/proc/meminfo").read_text().splitlines()
         return 1024 * next(int(line.split()[1]) for line in lines if line.startswith("MemAvailable"))

@@ -1,4 +1,4 @@
-"""Measures how photos look: exposure and sharpness, from small versions of them."""
+"""Measures the exposure and the sharpness of photos, from small versions of them."""
 
 import time
 from collections.abc import Iterable
@@ -12,22 +12,22 @@ from jaxtyping import Float
 from splatax.errors import InputError
 from splatax.io import images
 
-LONGEST_SIDE = 1000  # pixels, at which sharpness is judged: what is sharp at this size is sharp enough
+LONGEST_SIDE = 1000  # pixels of the size at which sharpness is measured
 WORKERS = 4
-LUMINANCE = (0.2126, 0.7152, 0.0722)  # of encoded RGB (Rec. 709)
-CLIPPED = 250  # of 255
-MAD_TO_SIGMA = 1.4826  # of a normal distribution
+LUMINANCE = (0.2126, 0.7152, 0.0722)  # weights of encoded RGB (Rec. 709)
+CLIPPED = 250  # level, of 255, from which a pixel counts as white
+MAD_TO_SIGMA = 1.4826  # for a normal distribution
 
 
 @dataclass(frozen=True)
 class Look:
-    """How one photo looks.
+    """Exposure and sharpness of one photo.
 
     Attributes:
-        luminance: mean, in [0, 1].
+        luminance: mean luminance, in [0, 1].
         clipped: fraction of pixels that are white.
         sharpness: variance of the Laplacian of luminance in [0, 255].
-        unreadable: why it could not be decoded; empty if it could.
+        unreadable: reason why the photo could not be decoded; empty if it could.
     """
 
     luminance: float = 0.0
@@ -37,11 +37,11 @@ class Look:
 
 
 def looks_of(paths: dict[str, Path], seconds: float) -> dict[str, Look]:
-    """Looks at photos, spread over all, until the time is up.
+    """Measures photos, spread evenly over all of them, until the time is up.
 
     Args:
-        paths: by name.
-        seconds: how long to look.
+        paths: paths of the photos, by name.
+        seconds: time limit.
     """
     deadline = time.monotonic() + seconds
 
@@ -55,14 +55,14 @@ def looks_of(paths: dict[str, Path], seconds: float) -> dict[str, Look]:
 
 
 def spread(names: list[str]) -> Iterable[str]:
-    """Returns all names in an order whose beginnings are spread evenly: every 16th, then those between."""
+    """Returns all names in an order whose prefixes are spread evenly: every 16th, then those between."""
     for step_and_start in ((16, 0), (16, 8), (8, 4), (4, 2), (2, 1)):
         step, start = step_and_start
         yield from names[start::step]
 
 
 def look(path: Path) -> Look:
-    """Looks at one photo. A JPEG is decoded no larger than needed."""
+    """Measures one photo. A JPEG is decoded no larger than needed."""
     try:
         pixels = images.glance(path, LONGEST_SIDE).astype(np.float32)
     except (InputError, OSError) as error:
@@ -87,11 +87,11 @@ def sharpness(luminance: Float[np.ndarray, "h w"]) -> float:
 
 
 def robust_scores(values: Float[np.ndarray, " n"], floor: float) -> Float[np.ndarray, " n"]:
-    """Returns distances from the median in standard deviations, which the median deviation estimates.
+    """Returns distances from the median, in standard deviations estimated by the median deviation.
 
     Args:
-        values: of any unit.
-        floor: lower bound of the standard deviation, so that equal photos have no outliers.
+        values: measurements in any unit.
+        floor: lower bound of the standard deviation, so that nearly equal photos have no outliers.
     """
     middle = np.median(values)
     sigma = max(MAD_TO_SIGMA * float(np.median(np.abs(values - middle))), floor)

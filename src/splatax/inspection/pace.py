@@ -1,4 +1,4 @@
-"""How long training would take here, from a few measured steps."""
+"""Estimates the training time on this machine from a few measured steps."""
 
 import time
 from dataclasses import replace
@@ -11,19 +11,19 @@ from splatax.dataset import Dataset
 from splatax.runs.budget import HEAVIER, coarse_size, mean_count
 from splatax.training.recipes import COARSE, Recipe, default
 
-TIMED, ROUNDS = 1.0, 10  # seconds that steps of a size are timed for; and the most of them
+TIMED, ROUNDS = 1.0, 10  # seconds for which steps of one size are timed; most steps
 
 
 def seconds_to_train(dataset: Dataset, gaussians: int) -> float:
-    """Of all steps of the recipe `default`, if nothing else runs. Takes some seconds.
+    """Returns the time of all steps of the recipe `default` if nothing else runs. It takes some seconds.
 
-    Two programs are compiled and timed, for the part with smaller photos and for the rest, with as many
-    Gaussians as there are in the mean: steps are linear in them. Loading, evaluations and other programs
-    are not counted.
+    Two programs are compiled and timed: one for the steps with smaller photos, and one for the rest. Both use
+    the mean number of Gaussians, because the time of a step is linear in it. Loading, evaluation and
+    compilation of other programs are not included.
 
     Args:
         dataset: the capture.
-        gaussians: that the scene grows to.
+        gaussians: number of Gaussians that the scene grows to.
     """
     recipe = replace(default(max_gaussians=gaussians), backend=backends.resolve("auto"))
     camera = dataset.train[0].camera
@@ -35,7 +35,7 @@ def seconds_to_train(dataset: Dataset, gaussians: int) -> float:
 
 
 def seconds_a_step(gaussians: int, size: tuple[int, int], recipe: Recipe) -> float:
-    """The shortest of some."""
+    """Returns the shortest of several measured times of a training step."""
     work = step(procedural(gaussians, size), recipe)
     timed(work)  # compiles
     end, times = time.monotonic() + TIMED, [timed(work), timed(work)]

@@ -1,4 +1,4 @@
-"""What is wrong with a capture, and what to do about each."""
+"""Finds the problems of a capture, and suggests a fix for each."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,22 +14,23 @@ from splatax.io.datasets.photos import counted, listed
 FEW_VIEWS = 20
 OUTLIER = 3.5  # robust standard deviations (Iglewicz and Hoaglin 1993)
 LEAST_EXPOSURE, LEAST_SHARPNESS = 0.15, 0.25  # standard deviations of log2 luminance and of log sharpness
-DARK, MUCH_WHITE = 0.08, 0.2  # mean luminance; share of white pixels
+DARK, MUCH_WHITE = 0.08, 0.2  # mean luminance; fraction of white pixels
 HIGH_ERROR = 1.5  # pixels, median
-TWICE = 2.0  # the median of all views: where a view is called badly placed
-MOSTLY_HIDDEN = 0.2  # share of pixels that count
+TWICE = 2.0  # times the median of all views, from which a view counts as badly placed
+MOSTLY_HIDDEN = 0.2  # fraction of unmasked pixels
 FEW_POINTS = 500
-LEVEL_SPAN = 0.02  # extents: cameras that stand in one place
+LEVEL_SPAN = 0.02  # of the distance to the points; less means that all cameras are in one place
+RANDOM = "from random Gaussians: init random of splatax train, or Recipe(initialization=InFrusta())"
 
 
 @dataclass(frozen=True)
 class Problem:
-    """Something to be repaired.
+    """Problem of a capture.
 
     Attributes:
-        severity: "error" stops training, or will spoil the scene; a "warning" makes it worse.
-        what: is wrong.
-        fix: what to do.
+        severity: an "error" prevents training or spoils the scene; a "warning" makes the scene worse.
+        what: description of the problem.
+        fix: suggestion to the user.
     """
 
     severity: Literal["error", "warning"]
@@ -38,7 +39,7 @@ class Problem:
 
 
 def problems_of(found: Examination) -> list[Problem]:
-    """All problems, the worst first."""
+    """Returns all problems, errors first."""
     checks = (poses, number, registration, placement, errors, photos, masks, points, memory)
     problems = [problem for check in checks for problem in check(found)]
     return sorted(problems, key=lambda problem: problem.severity != "error")
@@ -107,7 +108,7 @@ def errors(found: Examination) -> Iterator[Problem]:
 
 
 def photos(found: Examination) -> Iterator[Problem]:
-    """Of how they look: those that cannot be read apart, all others compared with each other."""
+    """Yields problems of the photos themselves: unreadable ones, and outliers in exposure and sharpness."""
     seen = {name: look for name, look in found.looks.items() if not look.unreadable}
     if broken := sorted(found.looks.keys() - seen.keys()):
         why = found.looks[broken[0]].unreadable
@@ -146,12 +147,12 @@ def blur(looks: dict[str, Look]) -> Iterator[Problem]:
 
 
 def are(names: list[str]) -> str:
-    """ "1 photo is", "2 photos are"."""
+    """Returns the subject and verb of a sentence, "1 photo is" or "2 photos are"."""
     return f"{counted(len(names))} {'is' if len(names) == 1 else 'are'}"
 
 
 def outliers(names: list[str], values: Float[np.ndarray, " n"], floor: float, sign: int) -> list[str]:
-    """Those far out on one side."""
+    """Returns the names whose values are outliers on one side (sign +1 or -1)."""
     if len(names) < 5:
         return []
     scores = sign * robust_scores(values, floor)
@@ -172,12 +173,12 @@ def points(found: Examination) -> Iterator[Problem]:
         return
     count = len(found.dataset.points)
     if count == 0:
-        yield Problem("warning", "There are no points to start from.", "Train with --init random.")
+        yield Problem("warning", "There are no points to start from.", f"Start {RANDOM}.")
     elif count < FEW_POINTS:
         yield Problem(
             "warning",
             f"Only {count} points to start from.",
-            "splatax reconstruct --detail high finds more; or train with --init random.",
+            f"Find more with detail high of splatax reconstruct, or start {RANDOM}.",
         )
 
 
@@ -187,5 +188,5 @@ def memory(found: Examination) -> Iterator[Problem]:
         yield Problem(
             "error",
             f"Training needs about {needed:.1f} GB, but {free:.1f} GB are free here.",
-            f"Shrink photos: --downscale, or use fewer Gaussians: --max-gaussians {found.gaussians // 4}.",
+            f"Shrink the photos (downscale), or use fewer Gaussians (max_gaussians {found.gaussians // 4}).",
         )

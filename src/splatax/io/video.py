@@ -45,7 +45,8 @@ def writing(path: Path, size: tuple[int, int], fps: int) -> AbstractContextManag
         if size[0] % 2 or size[1] % 2:
             raise InputError(
                 f"{path}: {size[0]} x {size[1]} pixels, but this format needs even numbers. "
-                "Choose an even width and an even height."
+                "Choose an even width and an even height.",
+                options=("size",),
             )
     return writers[path.suffix.lower()](path, size, fps)
 

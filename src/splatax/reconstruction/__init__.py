@@ -1,4 +1,4 @@
-"""Photos or a video -> a capture: structure from motion by COLMAP, through pycolmap."""
+"""Reconstructs a capture from photos or a video: structure from motion with COLMAP, through pycolmap."""
 
 from splatax.reconstruction.pipeline import Outcome as Outcome
 from splatax.reconstruction.pipeline import reconstruct as reconstruct

@@ -1,4 +1,4 @@
-"""Why photos could not be placed, and what to do about it."""
+"""Finds out why photos have no pose, and gives advice."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     import pycolmap
 
 FEW_FEATURES = 200
-FEW_MATCHES = 15  # that agree with one motion: what COLMAP asks of a pair
+FEW_MATCHES = 15  # matches that agree with one motion, COLMAP's minimum for a pair
 
 FEATURELESS = "too few features: blurred, dark, or nothing but plain surfaces"
 ALONE = "overlaps with no other photo"
@@ -27,7 +27,7 @@ ADVICE = {
 
 
 def reasons(path: Path, parts: "Sequence[pycolmap.Reconstruction]") -> dict[str, str]:
-    """Of each photo in the database that is not in the largest part, why; by name."""
+    """Returns, by name, why each photo of the database that is not in the largest part is missing."""
     import pycolmap
 
     placed = set(parts[0].reg_image_ids()) if parts else set()
@@ -51,7 +51,7 @@ def reasons(path: Path, parts: "Sequence[pycolmap.Reconstruction]") -> dict[str,
 
 
 def advice(rejected: dict[str, str]) -> str:
-    """What helps with the most frequent reason."""
+    """Returns advice for the most frequent reason."""
     known = Counter(reason for reason in rejected.values() if reason in ADVICE)
     if not known:
         return "Export the photos again."

@@ -1,7 +1,7 @@
-"""COLMAP's three steps, through pycolmap: features of photos, matches of pairs, poses of all.
+"""Runs COLMAP's three steps through pycolmap: features of photos, matches of pairs, poses of all photos.
 
-The database keeps what has been done, so each step goes on where an earlier one was stopped. Steps
-are called for a few photos or pairs at a time, to tell how far they are.
+The database keeps finished work, so each step continues where an earlier call was stopped. Steps process
+a few photos or pairs at a time, so that they can report progress.
 """
 
 import shutil
@@ -18,18 +18,18 @@ if TYPE_CHECKING:
 
 PHOTOS_AT_ONCE, PAIRS_AT_ONCE = 16, 128
 FEWEST_IN_MODEL = 3  # photos
-MANY = 20  # photos of one camera that also tell its tangential distortion
-UNKNOWN_FOCAL = 1.2  # of the longer side, where EXIF does not tell (as COLMAP's)
+MANY = 20  # photos of one camera from which its tangential distortion is estimated too
+UNKNOWN_FOCAL = 1.2  # focal length over the longer side if EXIF has none (as in COLMAP)
 
 
 @dataclass(frozen=True)
 class Features:
-    """How much of each photo to use.
+    """Settings of feature extraction.
 
     Attributes:
-        longest_side: that photos are shrunk to, pixels.
-        most: features of a photo.
-        first_octave: of the scale space; -1 doubles photos first, for four times the time.
+        longest_side: size to which photos are shrunk, pixels of the longer side.
+        most: largest number of features in a photo.
+        first_octave: first octave of the scale space; -1 upsamples photos by 2 and takes four times as long.
     """
 
     longest_side: int = 1600
@@ -39,7 +39,7 @@ class Features:
 
 @dataclass(frozen=True)
 class Entry:
-    """A photo as COLMAP sees it: upright, shrunk, and named by its number."""
+    """Photo in COLMAP's database: upright, shrunk, and named by its number."""
 
     name: str
     size: tuple[int, int]
@@ -59,8 +59,11 @@ def opened(path: Path) -> "Iterator[pycolmap.Database]":
 
 
 def register(database: "pycolmap.Database", entries: Sequence[Entry]) -> None:
-    """Writes photos and their cameras to an empty database, in order, so that their numbers do not
-    depend on which thread is first. Photos of one device and size share a camera."""
+    """Writes photos and their cameras to an empty database.
+
+    They are written in order, so that their numbers do not depend on the timing of threads. Photos of one
+    device and size share a camera.
+    """
     import pycolmap
 
     devices: dict[tuple[str, tuple[int, int]], list[Entry]] = {}
@@ -80,7 +83,11 @@ def register(database: "pycolmap.Database", entries: Sequence[Entry]) -> None:
 
 
 def write_camera(database: "pycolmap.Database", group: Sequence[Entry]) -> tuple[int, int]:
-    """(camera, rig) of photos from one device, with EXIF's focal length to start from."""
+    """Writes the camera of photos from one device, starting from EXIF's focal length.
+
+    Returns:
+        The numbers of (camera, rig).
+    """
     import pycolmap
 
     (width, height), focal = group[0].size, group[0].focal
@@ -95,7 +102,7 @@ def write_camera(database: "pycolmap.Database", group: Sequence[Entry]) -> tuple
 
 
 def extract(path: Path, photos: Path, features: Features, watch: Callable[[int, int], None]) -> None:
-    """SIFT features (Lowe 2004) of the photos that have none yet, on the CPU."""
+    """Extracts SIFT features (Lowe 2004) of the photos that have none yet, on the CPU."""
     import pycolmap
 
     options = pycolmap.FeatureExtractionOptions()
@@ -115,8 +122,11 @@ def extract(path: Path, photos: Path, features: Features, watch: Callable[[int, 
 
 
 def match(path: Path, pairing: Pairing, seed: int, watch: Callable[[int, int], None]) -> int:
-    """Matches that agree with one motion, for the pairs that have not been looked at yet: how many those
-    were."""
+    """Matches the pairs that have not been matched yet, keeping matches that agree with one motion.
+
+    Returns:
+        The number of pairs that were matched.
+    """
     import pycolmap
 
     verification = pycolmap.TwoViewGeometryOptions()
@@ -143,11 +153,13 @@ def match(path: Path, pairing: Pairing, seed: int, watch: Callable[[int, int], N
 def place(
     path: Path, photos: Path, out: Path, seed: int, watch: Callable[[int, int], None]
 ) -> "list[pycolmap.Reconstruction]":
-    """Poses and points by incremental structure from motion (Schönberger and Frahm 2016), or those that
-    were found before: they are in the folder once all are.
+    """Finds poses and points by incremental structure from motion (Schönberger and Frahm 2016).
+
+    If the output folder exists, an earlier call has finished, and its result is read.
 
     Returns:
-        Parts that nothing connects, the one of most photos first; empty if no two photos fit together.
+        Parts that are not connected with each other, the one with the most photos first; empty if no two
+        photos fit together.
     """
     import pycolmap
 

@@ -1,4 +1,4 @@
-"""Which pairs of photos are worth matching: all of a few, the alike of many, neighbours in a video."""
+"""Selects the pairs of photos to match: all pairs, pairs of similar photos, or neighbours in a video."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -12,15 +12,15 @@ if TYPE_CHECKING:
 
 Pair = tuple[int, int]  # positions of two photos in the order of their names, the smaller first
 
-FEATURES = 200  # the largest of each photo stand for it (preemptive matching, Wu 2013)
-RATIO = 0.8  # of distances to the best and second best match (Lowe 2004)
-FEWEST = 4  # matches between two photos that are alike
-BLOCK = 64  # photos compared with one at a time
+FEATURES = 200  # largest features of each photo that are compared (preemptive matching, Wu 2013)
+RATIO = 0.8  # limit of the ratio of distances to the best and second best match (Lowe 2004)
+FEWEST = 4  # matches that two similar photos have at least
+BLOCK = 64  # photos that one photo is compared with at a time
 
 
 @dataclass(frozen=True)
 class Exhaustive:
-    """Every photo with every other."""
+    """Pairs of every photo with every other."""
 
     def pairs(self, database: "pycolmap.Database", ids: list[int]) -> list[Pair]:
         return [(i, j) for i in range(len(ids)) for j in range(i + 1, len(ids))]
@@ -28,7 +28,7 @@ class Exhaustive:
 
 @dataclass(frozen=True)
 class Similar:
-    """Each photo with those it shares most of its largest features with, and with the next by name."""
+    """Pairs of each photo with those that share most of its largest features, and with the next by name."""
 
     neighbours: int = 30
     following: int = 3
@@ -41,10 +41,10 @@ class Similar:
 
 @dataclass(frozen=True)
 class Sequential:
-    """Each frame with the next, with some further on, and with some that are alike, to close loops."""
+    """Pairs of each frame with the next ones, with some later ones, and with similar ones to close loops."""
 
     overlap: int = 8
-    doublings: int = 5  # distances of twice the overlap, four times, ...
+    doublings: int = 5  # later frames at 2, 4, ... times the overlap
     neighbours: int = 5
 
     def pairs(self, database: "pycolmap.Database", ids: list[int]) -> list[Pair]:
@@ -56,12 +56,12 @@ Pairing = Exhaustive | Similar | Sequential
 
 
 def following(count: int, steps: Iterable[int]) -> set[Pair]:
-    """Pairs at these distances in the order of names."""
+    """Returns pairs of photos at these distances in the order of names."""
     return {(i, i + step) for step in steps for i in range(count - step)}
 
 
 def alike(database: "pycolmap.Database", ids: list[int], neighbours: int) -> set[Pair]:
-    """Pairs of photos of which one is among those most like the other."""
+    """Returns pairs of photos of which one is among the most similar to the other."""
     features = [largest(database, image) for image in ids]
     counts = np.zeros((len(ids), len(ids)))
     for i in range(len(ids)):
@@ -77,7 +77,7 @@ def alike(database: "pycolmap.Database", ids: list[int], neighbours: int) -> set
 
 
 def largest(database: "pycolmap.Database", image: int) -> Float[np.ndarray, "k 128"]:
-    """Unit descriptors of the largest features of a photo; zeros where it has fewer."""
+    """Returns the unit descriptors of a photo's largest features, padded with zeros."""
     chosen = np.zeros((FEATURES, 128), np.float32)
     if database.exists_descriptors(image):
         keypoints, descriptors = database.read_keypoints(image), database.read_descriptors(image).data
@@ -91,7 +91,7 @@ def largest(database: "pycolmap.Database", image: int) -> Float[np.ndarray, "k 1
 def shared(
     features: Float[np.ndarray, "k 128"], others: list[Float[np.ndarray, "k 128"]]
 ) -> Float[np.ndarray, " m"]:
-    """How many features have a distinct match in each of the other photos."""
+    """Returns the number of features that have a distinct match in each of the other photos."""
     products = (features @ np.concatenate(others).T).reshape(FEATURES, len(others), FEATURES)
     at = products.argmax(axis=2)[..., None]
     best = np.take_along_axis(products, at, axis=2)[..., 0]

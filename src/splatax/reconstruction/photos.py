@@ -1,4 +1,4 @@
-"""Finds the photos to reconstruct from, reads them upright, and reads from EXIF what took them."""
+"""Finds the photos to reconstruct from, reads them upright, and reads their lens and device from EXIF."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,8 +12,8 @@ from splatax.io.datasets import names
 
 HEIF = {".heic", ".heif"}
 LOSSLESS = {".png", ".bmp", ".tif", ".tiff"}
-DIAGONAL_35MM = float(np.hypot(36, 24))  # mm; "35 mm equivalent" is by the diagonal (CIPA DCG-001)
-MM_PER_UNIT = {2: 25.4, 3: 10.0}  # of EXIF's FocalPlaneResolutionUnit: inch, centimetre
+DIAGONAL_35MM = float(np.hypot(36, 24))  # mm; the 35 mm equivalent refers to the diagonal (CIPA DCG-001)
+MM_PER_UNIT = {2: 25.4, 3: 10.0}  # EXIF's FocalPlaneResolutionUnit: inch, centimetre
 MAKE, MODEL, EXIF = 0x010F, 0x0110, 0x8769
 FOCAL, FOCAL_35MM, LENS = 0x920A, 0xA405, 0xA434
 PLANE_RESOLUTION, PLANE_UNIT, EXIF_WIDTH, EXIF_HEIGHT = 0xA20E, 0xA210, 0xA002, 0xA003
@@ -21,14 +21,14 @@ PLANE_RESOLUTION, PLANE_UNIT, EXIF_WIDTH, EXIF_HEIGHT = 0xA20E, 0xA210, 0xA002, 
 
 @dataclass(frozen=True)
 class Photo:
-    """One photo on disk.
+    """Photo on disk.
 
     Attributes:
-        name: in the capture, unique: its path in the folder, with a suffix that all tools read.
-        path: where it lies.
-        size: upright, pixels.
-        focal: from EXIF, pixels; None if that does not tell.
-        device: what took it, so that photos of one device and size share a camera.
+        name: unique name in the capture: its path in the folder, with a suffix that all tools read.
+        path: path of the file.
+        size: width and height when upright, pixels.
+        focal: focal length from EXIF, pixels; None if EXIF has none.
+        device: camera and lens in EXIF. Photos of one device and size share a camera.
     """
 
     name: str
@@ -39,10 +39,10 @@ class Photo:
 
 
 def photos_in(folder: Path) -> tuple[list[Photo], dict[str, str]]:
-    """Returns the photos in a folder by name, and why others cannot be used, by name.
+    """Returns the photos in a folder sorted by name, and the reasons why others cannot be used, by name.
 
     Raises:
-        InputError: if there is a HEIC photo, and nothing to read it with.
+        InputError: if there is a HEIC photo, and the package that reads it is not installed.
     """
     paths = sorted(path for path in folder.rglob("*") if path.is_file() and is_photo(path))
     if any(path.suffix.lower() in HEIF for path in paths):
@@ -58,27 +58,28 @@ def photos_in(folder: Path) -> tuple[list[Photo], dict[str, str]]:
 
 
 def is_photo(path: Path) -> bool:
-    """Returns whether the name is that of a photo, HEIC included."""
+    """Returns whether a path has the suffix of a photo, HEIC included."""
     return images.is_image(path) or (path.suffix.lower() in HEIF and not path.name.startswith("."))
 
 
 def learn_heif(example: Path) -> None:
-    """Lets Pillow read HEIC.
+    """Registers Pillow's plugin for HEIC.
 
     Raises:
-        InputError: if the package for that is not installed.
+        InputError: if the package is not installed.
     """
     try:
         import pillow_heif
     except ImportError:
         raise InputError(
-            f"{example}: reading HEIC needs another package: pip install 'splatax[heic]'. Or export JPEG."
+            f"{example}: reading HEIC needs another package: pip install '.[heic]' in the checkout of "
+            "splatax. Or export JPEG."
         ) from None
     pillow_heif.register_heif_opener()
 
 
 def name_in_capture(name: str) -> str:
-    """Returns the name under which the undistorted photo is saved."""
+    """Returns the name of the undistorted photo in the capture."""
     suffix = Path(name).suffix.lower()
     if suffix in {".jpg", ".jpeg", ".png"}:
         return name
@@ -86,14 +87,14 @@ def name_in_capture(name: str) -> str:
 
 
 def photo_of(name: str, path: Path) -> Photo:
-    """Measures a photo by its header.
+    """Reads the header of a photo.
 
     Raises:
-        DatasetError: if it is not a photo, or damaged.
+        DatasetError: if the file is not a photo, or is damaged.
     """
     size = images.size_of(path, upright=True)
     with images.opened(path) as image:
-        exif = image.getexif()  # of a PNG it may be behind the pixels
+        exif = image.getexif()  # a PNG may store it behind the pixels
         detail = exif.get_ifd(EXIF)
     focal = focal_of({key: number(value) for key, value in detail.items()}, size)
     parts = (exif.get(MAKE), exif.get(MODEL), detail.get(LENS), focal, size)
@@ -101,7 +102,7 @@ def photo_of(name: str, path: Path) -> Photo:
 
 
 def number(value: object) -> float:
-    """Returns an EXIF value, or 0 where it is not a positive number."""
+    """Returns an EXIF value as a number, or 0 if it is not a positive one."""
     try:
         found = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, ZeroDivisionError):
@@ -110,7 +111,7 @@ def number(value: object) -> float:
 
 
 def focal_of(exif: dict[int, float], size: tuple[int, int]) -> float | None:
-    """Returns the focal length in pixels, from its 35 mm equivalent or the pitch of the sensor's pixels."""
+    """Returns the focal length in pixels, from its 35 mm equivalent or the sensor's pixel pitch."""
     if equivalent := exif.get(FOCAL_35MM, 0.0):
         return equivalent * float(np.hypot(*size)) / DIAGONAL_35MM
     unit = MM_PER_UNIT.get(int(exif.get(PLANE_UNIT, 2.0)), 0.0)
@@ -122,16 +123,16 @@ def focal_of(exif: dict[int, float], size: tuple[int, int]) -> float | None:
 
 
 def read(photo: Photo) -> Pixels:
-    """Decodes a photo, upright.
+    """Decodes a photo and turns it upright.
 
     Raises:
-        DatasetError: if it is damaged.
+        DatasetError: if the photo is damaged.
     """
     return images.read(photo.path, upright=True)
 
 
 def save(path: Path, pixels: Pixels) -> None:
-    """Writes a PNG, or a JPEG that looks the same as the original."""
+    """Writes a PNG, or a JPEG that is visually lossless."""
     path.parent.mkdir(parents=True, exist_ok=True)
     from PIL import Image
 

@@ -1,4 +1,4 @@
-"""From photos to a capture, in stages that can be stopped and gone on with."""
+"""Reconstructs a capture from photos, in stages that can be interrupted and continued."""
 
 import shutil
 from collections.abc import Callable
@@ -25,21 +25,21 @@ from splatax.reconstruction.work import (
 from splatax.reconstruction.writing import write_capture
 from splatax.resampling import resize
 
-FEW = 80  # photos, of which every pair is matched
-VERY_FEW = 30  # photos, of which smaller features count too: fern's give 2.5 times the points, 0.5 dB
-FEWEST, LEAST_SHARE = 3, 0.5  # of photos that must be placed
+FEW = 80  # photos up to which every pair is matched
+VERY_FEW = 30  # photos up to which smaller features are used too: 2.5 times the points and 0.5 dB on fern
+FEWEST, LEAST_SHARE = 3, 0.5  # number and fraction of photos that must get a pose
 STAGES = ("reading", "features", "matches", "poses", "writing")
-Watch = Callable[[str, int, int], None]  # stage, how far, of how much
+Watch = Callable[[str, int, int], None]  # stage, finished parts, all parts
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of the photos.
+    """Outcome of a reconstruction.
 
     Attributes:
-        registered: names of those placed.
-        rejected: of the others, by name, why not.
-        points: how many were found.
+        registered: names of the photos with a pose.
+        rejected: reasons why the other photos have none, by name.
+        points: number of points.
         error: mean reprojection error, pixels of the written photos.
     """
 
@@ -62,20 +62,21 @@ def reconstruct(
 ) -> Outcome:
     """Finds poses and points, and writes undistorted photos and a COLMAP model to a folder.
 
-    What an interrupted call has done is kept in the folder, and the next call goes on from there, if the
-    photos are still the same; else it begins anew.
+    An interrupted call leaves its work in the folder. The next call continues from there if the photos have
+    not changed; otherwise it starts again.
 
     Args:
-        source: a folder of photos, or a video.
+        source: folder of photos, or a video.
         out: folder for the capture.
-        frames: how many to take of a video.
-        features: how much of each photo to use. None: more of very few photos.
-        pairing: which pairs to match. None: all of few photos, those alike of many, neighbours of a video.
-        seed: of all randomness.
-        watch: is told how each of `STAGES` goes.
+        frames: number of frames to take from a video.
+        features: settings of feature extraction. None uses smaller features too if there are very few photos.
+        pairing: selection of pairs to match. None matches all pairs of few photos, similar ones of many
+            photos, and neighbours in a video.
+        seed: random seed.
+        watch: function that is called with the progress of each of `STAGES`.
 
     Raises:
-        InputError: if the folder holds something else, or a package to read photos or video is missing.
+        InputError: if the output folder holds something else, or a package to read the input is missing.
         DatasetError: if there are no photos, or too few of them fit together.
     """
     import pycolmap
@@ -85,7 +86,10 @@ def reconstruct(
     refuse_overlap(source, out)
     take_back_results(out)
     if any((out / name).exists() for name in RESULTS):
-        raise InputError(f"{out}: holds a capture. Choose another folder, or replace it: --overwrite.")
+        raise InputError(
+            f"{out}: holds a capture. Choose another folder, or remove this one.",
+            options=("out", "overwrite"),
+        )
     asked = asdict(features) if features else "auto"
     settings = {"source": str(source.resolve()), "frames": frames, "features": asked, "seed": seed}
     prepare(work, settings | {"photos": fingerprint(source)})
@@ -109,7 +113,7 @@ def reconstruct(
     mapping.extract(database, work / "photos", features, partial(watch, "features"))
     pairing = pairing or pairing_for(source, len(photos))
     if mapping.match(database, pairing, seed, partial(watch, "matches")):
-        shutil.rmtree(work / "models", ignore_errors=True)  # they know nothing of these pairs
+        shutil.rmtree(work / "models", ignore_errors=True)  # they were made without these pairs
     parts = mapping.place(database, work / "photos", work / "models", seed, partial(watch, "poses"))
     reasons = diagnosis.reasons(database, parts)
     rejected |= {photos[name].name: reason for name, reason in reasons.items()}
@@ -136,7 +140,7 @@ def reconstruct(
 def gather(
     source: Path, work: Path, frames: int, watch: Callable[[int, int], None]
 ) -> tuple[list[Photo], dict[str, str]]:
-    """(photos, why others cannot be used) of a folder or a video."""
+    """Returns the photos of a folder or a video, and the reasons why others cannot be used, by name."""
     if source.is_dir():
         return photos_in(source)
     if not (work / "frames").exists():
@@ -149,10 +153,10 @@ def gather(
 def shrink(
     photos: list[Photo], folder: Path, longest_side: int, watch: Callable[[int, int], None]
 ) -> tuple[dict[str, Photo], dict[str, str]]:
-    """Writes what features are taken from: upright and no larger than needed, named by number.
+    """Writes the pictures for feature extraction: upright, shrunk, and named by number.
 
     Returns:
-        The photos by those names; and why some could not be read, by their own.
+        The photos by the names of their pictures, and the reasons why others cannot be read, by photo name.
     """
     shrunk, damaged = {}, {}
     for number, photo in enumerate(photos):
@@ -183,19 +187,19 @@ def entry_of(name: str, photo: Photo, features: Features) -> Entry:
 
 
 def features_for(count: int) -> Features:
-    """What suits very few photos, or more."""
+    """Returns the settings of feature extraction for a number of photos."""
     return Features(first_octave=-1) if count <= VERY_FEW else Features()
 
 
 def pairing_for(source: Path, count: int) -> Pairing:
-    """What suits a video, few photos, or many."""
+    """Returns the selection of pairs for a video, few photos, or many photos."""
     if count <= FEW:
         return Exhaustive()
     return Sequential() if is_video(source) else Similar()
 
 
 def most_frequent(rejected: dict[str, str]) -> str:
-    """ "of the others, 7: overlap with no other photo"."""
+    """Describes the most frequent reason, such as "of the others, 7: overlaps with no other photo"."""
     reasons = list(rejected.values())
     if not reasons:
         return "no two show the same from different places"

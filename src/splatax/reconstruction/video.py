@@ -1,4 +1,4 @@
-"""Frames of a video, the sharpest of each stretch. Read with PyAV, an optional package."""
+"""Extracts the sharpest frames of a video, using PyAV, an optional package."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,7 +11,7 @@ from splatax.errors import DatasetError, InputError
 from splatax.reconstruction.photos import save
 
 SUFFIXES = {".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".3gp"}
-WIDTH = 480  # pixels, at which sharpness is judged
+WIDTH = 480  # pixels of the size at which sharpness is measured
 QUARTER_TURNS = {0: 0, 90: 1, 180: 2, 270: 3}
 
 
@@ -20,31 +20,31 @@ def is_video(path: Path) -> bool:
 
 
 def sharpness(gray: Num[np.ndarray, "h w"]) -> float:
-    """Variance of the Laplacian (Pech-Pacheco et al. 2000), of brightness in [0, 255]."""
+    """Returns the variance of the Laplacian (Pech-Pacheco et al. 2000) of brightness in [0, 255]."""
     g = gray.astype(np.float32)
     laplacian = 4 * g[1:-1, 1:-1] - g[:-2, 1:-1] - g[2:, 1:-1] - g[1:-1, :-2] - g[1:-1, 2:]
     return float(laplacian.var())
 
 
 def pick_frames(path: Path, folder: Path, count: int, watch: Callable[[int, int], None]) -> None:
-    """Writes frames to a folder as JPEG: of `count` stretches of equal length, the sharpest of each.
+    """Writes the sharpest frame of each of `count` equally long stretches of a video to a folder, as JPEG.
 
     Args:
-        path: of the video.
-        folder: for the frames.
-        count: how many; fewer if the video has fewer.
-        watch: is told (frames looked at, about how many there are).
+        path: path of the video.
+        folder: folder for the frames.
+        count: number of frames; the video may have fewer.
+        watch: function that is called with (frames decoded, approximate number of frames).
 
     Raises:
         InputError: if PyAV is not installed.
-        DatasetError: if the file is no video, or damaged.
+        DatasetError: if the file is not a video, or is damaged.
     """
     try:
         import av
     except ImportError:
         raise InputError(
-            f"{path}: reading videos needs another package: pip install 'splatax[video]'. Or give a "
-            "folder of frames."
+            f"{path}: reading videos needs another package: pip install '.[video]' in the checkout of "
+            "splatax. Or give a folder of frames."
         ) from None
     folder.mkdir(parents=True, exist_ok=True)
     try:
@@ -71,7 +71,7 @@ def pick_frames(path: Path, folder: Path, count: int, watch: Callable[[int, int]
 def best_of_stretches(
     frames: Iterator[Any], total: int, count: int, watch: Callable[[int, int], None]
 ) -> Iterator[tuple[int, Any]]:
-    """(index, frame) of the sharpest frame in each of `count` stretches of about `total` frames."""
+    """Yields (index, frame) of the sharpest frame in each of `count` stretches of about `total` frames."""
     length = max(total / count, 1.0)
     best: tuple[float, int, Any] | None = None
     stretch = 0

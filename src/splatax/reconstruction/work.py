@@ -1,4 +1,4 @@
-"""The folder of a reconstruction while it is made: what was done is kept, unless the photos change."""
+"""Working folder of a reconstruction, which keeps finished work unless the photos change."""
 
 import hashlib
 import json
@@ -12,15 +12,15 @@ from splatax.reconstruction.photos import is_photo
 from splatax.reconstruction.video import is_video
 
 RESULTS = ("sparse", "images")
-WORK = ".reconstruction"  # in the capture's folder, until it is finished
-BEGUN = ("frames", "database.db")  # in the folder of work, when there is some to lose
+WORK = ".reconstruction"  # working folder inside the capture's folder
+BEGUN = ("frames", "database.db")  # in the working folder, once there is work to lose
 
 
 def clear(source: Path, out: Path) -> None:
-    """Removes what an earlier call has written.
+    """Removes the results and the working folder of an earlier call.
 
     Raises:
-        InputError: if that could be the photos themselves.
+        InputError: if they could be the photos themselves.
     """
     refuse_overlap(source, out)
     for name in (*RESULTS, WORK):
@@ -28,10 +28,10 @@ def clear(source: Path, out: Path) -> None:
 
 
 def refuse_overlap(source: Path, out: Path) -> None:
-    """Refuses results that could harm the photos, or be taken for some.
+    """Refuses an output folder that overlaps the photos, because results could replace them or mix with them.
 
     Raises:
-        InputError: if they could, or there are no photos.
+        InputError: if the folders overlap, or the photos do not exist.
     """
     if not source.exists():
         raise InputError(f"{source}: no such folder or video.")
@@ -43,18 +43,18 @@ def refuse_overlap(source: Path, out: Path) -> None:
 
 
 def take_back_results(out: Path) -> None:
-    """Undoes the first of the two moves that end a call, if that was stopped between them."""
+    """Undoes the first of the two moves that finish a call, if the call was stopped between them."""
     made = out / WORK / "capture"
     if (made / "sparse").exists() and not (made / "images").exists() and (out / "images").exists():
         (out / "images").rename(made / "images")
 
 
 def fingerprint(source: Path) -> str:
-    """Tells photos, or a video, from others, and from themselves after a change.
+    """Hashes the names, sizes and times of photos or of a video, to detect changes.
 
     Raises:
         DatasetError: if there are no photos in the folder.
-        InputError: if it is neither a folder nor a video.
+        InputError: if the path is neither a folder nor a video.
     """
     paths = [source]
     if source.is_dir():
@@ -71,24 +71,26 @@ def fingerprint(source: Path) -> str:
 
 
 def prepare(work: Path, settings: dict) -> None:
-    """Makes the folder of work in progress, or finds that of an earlier call. What was done for photos
-    that have changed since is of no use, and removed.
+    """Creates the working folder, or continues that of an earlier call.
+
+    Work for photos that have changed since is removed.
 
     Raises:
-        InputError: if work has begun there for something else.
+        InputError: if the folder holds work with other settings.
     """
     path = work / "settings.json"
     earlier = {}
     if path.exists():
-        way_out = "Choose another folder, or replace it: --overwrite."
+        way_out = "Choose another folder, or remove this one."
         with blamed_on(path, "damaged, so what was begun cannot be continued", way_out, InputError):
             earlier = dict(json.loads(path.read_text()))
     if earlier != settings:
         changed = {name for name in settings if earlier.get(name) != settings[name]}
         if changed - {"photos"} and any((work / name).exists() for name in BEGUN):
             raise InputError(
-                f"{work.parent}: holds half a reconstruction that was started otherwise. Choose another "
-                "folder, or replace it: --overwrite."
+                f"{work.parent}: holds an unfinished reconstruction with other settings. Choose another "
+                "folder, or remove this one.",
+                options=("out", "overwrite"),
             )
         shutil.rmtree(work, ignore_errors=True)
     work.mkdir(parents=True, exist_ok=True)

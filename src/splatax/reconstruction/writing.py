@@ -1,4 +1,4 @@
-"""A reconstruction as a capture that every splatting tool reads: pinhole photos and their model."""
+"""Writes a reconstruction as a capture that every splatting tool reads: pinhole photos and their model."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -20,10 +20,10 @@ def write_capture(
     """Writes OUT/images and OUT/sparse/0.
 
     Args:
-        model: of photos that may have been shrunk.
-        photos: the originals by their names in the model. They are undistorted at their full size.
+        model: model of the shrunk photos.
+        photos: original photos by their names in the model. They are undistorted at full size.
         out: folder of the capture.
-        watch: is told (photos written, how many there are).
+        watch: function that is called with (photos written, all photos).
     """
     import pycolmap
 
@@ -33,7 +33,7 @@ def write_capture(
         if image.camera_id not in lenses:
             lens = pycolmap.Camera(model.camera(image.camera_id).todict())
             lens.rescale(*photos[image.name].size)
-            shrinking = float(-(-max(lens.width, lens.height) // LARGEST_SIDE))  # by the loader
+            shrinking = float(-(-max(lens.width, lens.height) // LARGEST_SIDE))  # the loader's factor
             pinhole, straighten = undistortion(lens, shrinking)
             lenses[image.camera_id], pinholes[image.camera_id] = lens, pinhole
             straighteners[image.camera_id] = straighten

@@ -76,7 +76,9 @@ def document(
     if gaussians.sh_degree > MAX_SH_DEGREE:
         raise FormatError(
             f"{name}: a page shows SH up to degree {MAX_SH_DEGREE}, and the scene has degree "
-            f"{gaussians.sh_degree}. Reduce it first: splatax export --sh-degree {MAX_SH_DEGREE}."
+            f"{gaussians.sh_degree}. Reduce it to degree {MAX_SH_DEGREE} first "
+            "(splatax.editing.reduce_degree, or splatax export).",
+            options=(f"sh_degree {MAX_SH_DEGREE}",),
         )
     cameras = cameras or {}
     staged = stage(gaussians, cameras)

@@ -92,7 +92,8 @@ def save(path: str | Path, gaussians: Gaussians, *, comments: tuple[str, ...] = 
         raise FormatError(
             f"{path}: this format holds SH up to degree {module.MAX_SH_DEGREE}, and the scene has degree "
             f"{gaussians.sh_degree}. Reduce it to degree {module.MAX_SH_DEGREE} "
-            "(splatax.editing.reduce_degree), or choose .ply or .spz."
+            "(splatax.editing.reduce_degree), or choose .ply or .spz.",
+            options=(f"sh_degree {module.MAX_SH_DEGREE}",),
         )
     written = _written(path, gaussians)
     with required_by(f"writing {path}"):

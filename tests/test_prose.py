@@ -22,26 +22,6 @@ FORBIDDEN = re.compile(
     |whether|which|while|who|whom|whose|why|with|within|without""",
     re.IGNORECASE | re.VERBOSE,
 )
-# Packages and modules whose prose has been revised. To be widened to the whole tree.
-DONE = (
-    "bench",
-    "cli",
-    "demo/raycast.py",
-    "demo/shapes.py",
-    "demo/still_life.py",
-    "editing",
-    "errors.py",
-    "io/files.py",
-    "math",
-    "notebook.py",
-    "report",
-    "runs",
-    "training/checkpoint.py",
-    "trajectories",
-    "transforms.py",
-    "viewer",
-    "web",
-)
 
 
 def public_docstrings(tree):
@@ -94,14 +74,9 @@ def faults(source):
     return found
 
 
-def revised():
-    for name in DONE:
-        path = ROOT / name
-        assert path.exists(), f"{name} is in DONE, but there is no such package or module"
-        yield from sorted(path.rglob("*.py")) if path.is_dir() else [path]
-
-
-@pytest.mark.parametrize("path", [pytest.param(p, id=str(p.relative_to(ROOT))) for p in revised()])
+@pytest.mark.parametrize(
+    "path", [pytest.param(p, id=str(p.relative_to(ROOT))) for p in sorted(ROOT.rglob("*.py"))]
+)
 def test_docstrings_of_public_names_open_with_a_sentence(path):
     assert not faults(path.read_text())
 

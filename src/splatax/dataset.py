@@ -1,4 +1,4 @@
-"""A capture in memory: views with their cameras, and points. Records alone, no reading of files."""
+"""Records of a capture in memory: views with their cameras, and points. Nothing here reads files."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -17,13 +17,14 @@ Mask = Bool[np.ndarray, "_ _"]
 
 @dataclass(frozen=True)
 class View:
-    """A photo and the camera that took it.
+    """Photo and its camera.
 
     Attributes:
-        name: of the photo, unique in its data set.
-        camera: of the same size as the photo.
-        pixels: decodes the photo: 8-bit RGB, or RGBA with straight alpha.
-        mask: decodes which pixels count, for training and scores alike; None if all do.
+        name: name of the photo, unique in its data set.
+        camera: camera of the same size as the photo.
+        pixels: function that decodes the photo to 8-bit RGB, or RGBA with straight alpha.
+        mask: function that decodes the mask, true where a pixel counts in training and evaluation; None if
+            all pixels count.
     """
 
     name: str
@@ -33,10 +34,10 @@ class View:
 
 
 def mask_of(view: View) -> Mask | None:
-    """Which pixels of a view count; None if all do.
+    """Returns the mask of a view, true where a pixel counts; None if all pixels count.
 
     Raises:
-        DatasetError: if the mask is not of the camera's size, or no pixel counts.
+        DatasetError: if the sizes of mask and camera differ, or no pixel counts.
     """
     if view.mask is None:
         return None
@@ -66,13 +67,13 @@ class PointCloud:
 
 @dataclass(frozen=True)
 class Survey:
-    """What a loader saw beside the views, for those who judge a capture. All may be empty.
+    """Measurements of a loader beyond the views, for inspection of a capture. All may be empty.
 
     Attributes:
-        files: the photo of each view on disk, by the view's name.
-        lenses: the camera of each as it was calibrated, in words.
-        unused: photos that lie with the others but have no pose.
-        errors: distances in pixels of the view between where points were seen and where they project.
+        files: path of each view's photo, by the view's name.
+        lenses: calibrated camera of each photo in words, by the view's name.
+        unused: names of photos in the folder that have no pose.
+        errors: reprojection errors of a sample of observations, pixels of the view, by the view's name.
     """
 
     files: dict[str, Path] = field(default_factory=dict)
@@ -83,15 +84,15 @@ class Survey:
 
 @dataclass(frozen=True)
 class Dataset:
-    """What a scene is trained on and judged by.
+    """Capture for training and evaluation.
 
     Attributes:
-        train: views to learn from.
-        test: views held out; may be empty.
-        points: from structure from motion; may be empty.
-        notes: what the loader found, a line each, for people to read.
-        background: that photos with alpha are to be seen over; None where the capture does not say.
-        survey: what the loader saw beside the views.
+        train: training views.
+        test: held-out views; may be empty.
+        points: points from structure from motion; may be empty.
+        notes: lines of text about the capture, for people to read.
+        background: background for photos with alpha; None if the capture does not define it.
+        survey: measurements of the loader beyond the views.
     """
 
     train: tuple[View, ...]
@@ -103,7 +104,7 @@ class Dataset:
 
     @property
     def views(self) -> tuple[View, ...]:
-        """All views, by name."""
+        """All views, sorted by name."""
         return tuple(sorted(self.train + self.test, key=lambda view: view.name))
 
     @property
@@ -113,7 +114,7 @@ class Dataset:
 
 
 def hold_out(views: list[View], every: int = 8) -> tuple[tuple[View, ...], tuple[View, ...]]:
-    """(train, test): every 8th view by name, from the first, is for testing. A lone view is not."""
+    """Splits views into (train, test): every 8th by name, from the first, is held out, but not a lone one."""
     ordered = sorted(views, key=lambda view: view.name)
     if len(ordered) < 2:
         return tuple(ordered), ()

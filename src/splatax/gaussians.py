@@ -1,4 +1,4 @@
-"""The scene: a cloud of 3D Gaussians, stored as the unconstrained numbers that are optimized."""
+"""Scenes: 3D Gaussians, stored as the unconstrained parameters that are optimized."""
 
 from dataclasses import dataclass
 
@@ -14,17 +14,17 @@ from splatax.shapes import check_arrays
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Gaussians:
-    """n anisotropic Gaussians with view-dependent colour (Kerbl et al. 2023, Sec. 4).
+    """Scene of n anisotropic Gaussians with view-dependent colour (Kerbl et al. 2023, Sec. 4).
 
-    A Gaussian whose opacity logit is -inf is an empty slot: exactly transparent, so it is drawn
-    nowhere and has no gradient. Training keeps its arrays a little larger than the scene that way.
+    A Gaussian whose opacity logit is -inf is an empty slot: it is exactly transparent, so it is not drawn and
+    has no gradient. Training uses empty slots to keep its arrays a little larger than the scene.
 
     Attributes:
         means: centres, world units.
         quats: rotations (w, x, y, z), not necessarily unit.
         log_scales: natural logarithm of the standard deviation along each axis, world units.
         opacity_logits: inverse sigmoid of the opacity.
-        sh: spherical harmonic coefficients of colour, k = (degree + 1)^2 of them for each channel.
+        sh: spherical harmonic coefficients of colour, k = (degree + 1)^2 per channel.
     """
 
     means: Float[Array, "n 3"]
@@ -48,7 +48,7 @@ class Gaussians:
 
     @property
     def covariances(self) -> Float[Array, "n 3 3"]:
-        """R S S^T R^T of each Gaussian, world units squared."""
+        """Covariance matrices R S S^T R^T, world units squared."""
         factors = jax.vmap(ellipsoids.covariance_factor)(self.quats, self.scales)
         return jnp.einsum("nij,nkj->nik", factors, factors)
 
@@ -59,9 +59,10 @@ class Gaussians:
 
 
 def checked(gaussians: Gaussians) -> Gaussians:
-    """Returns the Gaussians if their arrays fit together. Readers end in it, and so does the renderer's door.
+    """Checks that the arrays of Gaussians fit together, and returns the Gaussians.
 
-    It looks at shapes and dtypes alone, so it works on traced arrays. Values need not be finite.
+    All readers and renderers call it. It checks only shapes and dtypes, so it works on traced arrays. Values
+    need not be finite.
 
     Raises:
         ValueError: if a shape or dtype is wrong, or no SH degree from 0 to 4 has this many coefficients.
@@ -87,9 +88,9 @@ def is_sound(
     logit: Float[Array, ""],
     sh: Float[Array, "k 3"],
 ) -> Bool[Array, ""]:
-    """Returns whether a Gaussian can be drawn, as far as its numbers tell: none may be NaN, and few infinite.
+    """Returns whether the numbers of a Gaussian are valid: none is NaN, and few may be infinite.
 
-    Three infinite numbers mean something. A log scale of -inf is a flat Gaussian, an opacity logit of +inf a
+    Three infinite values have a meaning. A log scale of -inf is a flat Gaussian, an opacity logit of +inf a
     fully opaque one, and an opacity logit of -inf an empty slot.
     """
     finite = jnp.all(jnp.isfinite(mean)) & jnp.all(jnp.isfinite(quat)) & jnp.all(jnp.isfinite(sh))
@@ -97,6 +98,6 @@ def is_sound(
 
 
 def broken(gaussians: Gaussians) -> Bool[np.ndarray, " n"]:
-    """Returns which Gaussians are not sound, see `is_sound`."""
+    """Returns a mask of the Gaussians that are not sound; see `is_sound`."""
     fields = (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.opacity_logits, gaussians.sh)
     return ~np.asarray(jax.vmap(is_sound)(*(jnp.asarray(field) for field in fields)))

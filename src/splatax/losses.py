@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from splatax.shapes import check_arrays
 
-WINDOW = 11  # pixels; Gaussian, as in Wang et al. 2004
+WINDOW = 11  # pixels; width of the Gaussian window, as in Wang et al. 2004
 SIGMA = 1.5  # pixels
 C1, C2 = 0.01**2, 0.03**2  # for values in [0, 1] (ibid.)
 
@@ -23,8 +23,8 @@ KERNEL = KERNEL / KERNEL.sum()
 def photometric(
     image: Float[Array, "h w c"], photo: Float[Array, "h w c"], ssim_weight: float
 ) -> Float[Array, ""]:
-    """Computes (1 - ssim_weight) L1 + ssim_weight (1 - SSIM); differentiable in `image` alone."""
-    image, photo = lax.optimization_barrier((image, photo))  # else XLA computes them in every window
+    """Computes (1 - ssim_weight) L1 + ssim_weight (1 - SSIM); differentiable only with respect to `image`."""
+    image, photo = lax.optimization_barrier((image, photo))  # otherwise XLA recomputes them in every window
     error = image - photo
     l1 = jnp.mean(jnp.abs(jnp.where(error == 0, 0, error)))  # JAX's d|x|/dx is 1 at 0, not 0
     return (1 - ssim_weight) * l1 + ssim_weight * (1 - ssim(image, photo))
@@ -32,9 +32,9 @@ def photometric(
 
 @dataclass(frozen=True)
 class Photometric:
-    """L1 and D-SSIM between a rendering and a photo."""
+    """Photometric loss: L1 and D-SSIM between a rendering and a photo."""
 
-    ssim_weight: float = 0.2  # of D-SSIM; L1 has the rest
+    ssim_weight: float = 0.2  # weight of D-SSIM; that of L1 is 1 - ssim_weight
 
     def __call__(
         self,
@@ -43,16 +43,16 @@ class Photometric:
         mask: Bool[Array, "h w"] | None = None,
         kernel: Callable[..., Float[Array, ""]] = photometric,
     ) -> Float[Array, ""]:
-        """Computes the loss; differentiable in `image` alone.
+        """Computes the loss; differentiable only with respect to `image`.
 
-        With a mask, both pictures are zero outside it, as they are beyond the border: what they show there
-        changes nothing. The mean is over the pixels that count, and zero if none does.
+        If there is a mask, both pictures are set to zero outside it, so pixels there do not affect the loss.
+        The loss is the mean over the pixels that count, and zero if none does.
 
         Args:
-            image: in [0, 1] where it is to resemble the photo.
-            photo: in [0, 1].
+            image: rendering, in the photo's range of [0, 1].
+            photo: photo, in [0, 1].
             mask: true where pixels count; None if all do.
-            kernel: computes what `photometric` does; that of a backend, in training.
+            kernel: implementation of `photometric`; in training, that of a backend.
 
         Raises:
             ValueError: if the shapes or dtypes of the pictures differ.
@@ -71,8 +71,8 @@ class Photometric:
 def ssim(image: Float[Array, "h w c"], photo: Float[Array, "h w c"]) -> Float[Array, ""]:
     """Returns the mean structural similarity, with zeros beyond the border as in the authors' code.
 
-    For values in [0, 1] and an 11 x 11 window. Differentiable in `image` alone: `photo` gets a
-    zero gradient. Evaluation uses `metrics.ssim`, which leaves out the border.
+    Values are in [0, 1], and the window is 11 x 11 pixels. It is differentiable only with respect to
+    `image`: `photo` gets a zero gradient. Evaluation uses `metrics.ssim`, which leaves out the border.
     """
     return jnp.mean(_similarity(_moments(image, photo)))
 
@@ -83,7 +83,7 @@ def _forward(image, photo):
 
 
 def _backward(residuals, cotangent):
-    """Returns the gradients. The window is symmetric and padded by zeros, so blurring is its own adjoint:
+    """Returns the gradients. The window is symmetric and zero-padded, so blurring is its own adjoint:
 
     dS/dx = blur(dS/d mu) + 2 x blur(dS/d x2) + y blur(dS/d xy)  for moments mu, x2, xy of blur.
     """
@@ -99,7 +99,7 @@ ssim.defvjp(_forward, _backward)
 
 
 def _moments(image: Float[Array, "h w c"], photo: Float[Array, "h w c"]):
-    """Returns blurred x, x^2, x y, y and y^2, channels first; those that depend on x are the first three."""
+    """Returns blurred x, x^2, x y, y and y^2, channels first; the first three depend on x."""
     x, y = jnp.moveaxis(image, -1, 0), jnp.moveaxis(photo, -1, 0)
     return tuple(blur(jnp.stack([x, x * x, x * y, y, y * y])))
 
@@ -116,8 +116,8 @@ def _similarity(moments) -> Float[Array, "c h w"]:
 def blur(planes: Float[Array, "k c h w"]) -> Float[Array, "k c h w"]:
     """Applies a Gaussian window over the last two axes, with zeros beyond the border.
 
-    Eleven shifted additions per axis of a padded array that XLA must not fold into them (the
-    barriers): five times faster on CPU than without, fifty times faster than a convolution.
+    It makes eleven shifted additions per axis of a padded array. The barriers keep XLA from fusing the
+    padding into them: five times faster on CPU than without, fifty times faster than a convolution.
     """
     for axis in (2, 3):
         padding = [(0, 0)] * 4

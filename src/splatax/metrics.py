@@ -81,7 +81,7 @@ def ssim(image: UInt8[np.ndarray, "h w c"], photo: UInt8[np.ndarray, "h w c"], m
 
 
 def _whole_windows(mask: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h2 w2"]:
-    """Returns which of the windows inside the image lie inside the mask."""
+    """Returns a mask of the windows inside the image that lie inside the mask of pixels."""
     edge = WINDOW // 2
     inside = minimum_filter(mask, WINDOW)[edge:-edge, edge:-edge]
     if not inside.any():

@@ -1,4 +1,4 @@
-"""EWA projection: 3D Gaussians and a camera -> the 2D Gaussians of one view.
+"""EWA projection of 3D Gaussians to the 2D Gaussians of one view.
 
     Sigma' = J W Sigma W^T J^T + 0.3 I         (Zwicker et al. 2001; Kerbl et al. 2023, Eq. 5)
 
@@ -21,12 +21,12 @@ from splatax.splats import MIN_ALPHA, Splats
 NEAR = 0.01  # world units of camera z; nearer is culled (as gsplat does)
 MAX_SLOPE = 1e6  # |x / z| beyond which the perspective of a mean overflows; culled
 MAX_LOG_SCALE = 40.0  # e^40 squared still fits float32
-FRUSTUM_MARGIN = 0.3  # of the half image: how far beside it J follows the mean (as gsplat does)
+FRUSTUM_MARGIN = 0.3  # of half the image: margin up to which J follows the mean (as in gsplat)
 
 
 @dataclass(frozen=True)
 class Dilation:
-    """Adds variance to every splat and leaves its opacity (Kerbl et al. 2023, authors' code)."""
+    """Low-pass filter that adds variance and keeps the opacity (authors' code of Kerbl et al. 2023)."""
 
     variance: float = 0.3  # pixels^2
 
@@ -37,25 +37,25 @@ class Dilation:
 
 @dataclass(frozen=True)
 class Antialiasing:
-    """Adds variance and keeps the total light of a splat, so that it does not thicken when seen from afar.
+    """Low-pass filter that adds variance and keeps the total light, so that distant splats do not thicken.
 
     The 2D Mip filter of Yu et al. 2024, Eq. 9: opacity times sqrt(|Sigma| / |Sigma + v I|).
     """
 
     variance: float = 0.3  # pixels^2
-    floor: float = 0.005  # least factor, so that its gradient stays finite for flat Gaussians
+    floor: float = 0.005  # lower bound of the factor, so that its gradient stays finite for flat Gaussians
 
     def fade(self, sharp: Float[Array, ""], blurred: Float[Array, ""]) -> Float[Array, ""]:
         """Returns the factor on opacity, from the determinants before and after the variance is added."""
         return jnp.sqrt(jnp.maximum(sharp / blurred, self.floor**2))
 
 
-LowPass = Dilation | Antialiasing  # keeps a splat from falling between pixels
+LowPass = Dilation | Antialiasing  # widens splats, so that none falls between pixels
 LOW_PASSES: dict[str, LowPass] = {"dilation": Dilation(), "antialiasing": Antialiasing()}
 
 
 class Projected(NamedTuple):
-    """One Gaussian's row of `Splats`."""
+    """Row of `Splats` for one Gaussian."""
 
     mean2d: Float[Array, "2"]
     sqrt_conic: Float[Array, "3"]
@@ -66,16 +66,16 @@ class Projected(NamedTuple):
 
 
 def project(gaussians: Gaussians, camera: Camera, low_pass: LowPass) -> Splats:
-    """Projects all Gaussians to one view: the portable kernel, and the definition of what the others compute.
+    """Projects all Gaussians to one view. This portable kernel defines the results of all other kernels.
 
-    A row is culled if the Gaussian is nearer than `NEAR`, more transparent than 1/255, beside the image, too
+    A row is culled if the Gaussian is nearer than `NEAR`, less opaque than 1/255, outside the image, too
     large for float32 or broken (see `gaussians.is_sound`). Culled rows have zero extent and a zero gradient,
-    and change no gradient of the camera; their other numbers are finite.
+    and do not affect the gradient of the camera; their other numbers are finite.
 
     Args:
-        gaussians: n of them.
-        camera: the view.
-        low_pass: the filter against aliasing.
+        gaussians: n Gaussians.
+        camera: camera of the view.
+        low_pass: filter against aliasing.
 
     Returns:
         n splats in the same order.
@@ -110,7 +110,7 @@ def project_one(
     low_pass: LowPass,
 ) -> Projected:
     """Projects one Gaussian; `position` is the camera's, computed once for all of them."""
-    # Safe operands go inside, not after: what is culled must not send a NaN back.
+    # Operands are replaced before use, so that culled rows do not propagate NaN in the backward pass.
     sound = is_sound(mean, quat, log_scale, logit, sh)
     mean, quat, log_scale, logit, sh = (
         jnp.where(sound, field, 0) for field in (mean, quat, log_scale, logit, sh)
@@ -149,9 +149,9 @@ def project_one(
 
 
 def perspective_jacobian(point: Float[Array, "3"], camera: Camera) -> Float[Array, "2 3"]:
-    """Returns d pixel / d point, with the point pulled to the frustum's margin if it lies beside it.
+    """Returns d pixel / d point; a point beside the frustum is clamped to the frustum's margin.
 
-    Beside the frustum J explodes, and one splat would flood the image.
+    Beside the frustum J becomes very large, and a single splat would cover the whole image.
     """
     x, y, z = point
     margin_x = FRUSTUM_MARGIN * 0.5 * camera.width
@@ -167,7 +167,7 @@ def perspective_jacobian(point: Float[Array, "3"], camera: Camera) -> Float[Arra
 
 
 def overlaps_image(mean2d: Float[Array, "2"], extent: Float[Array, "2"], camera: Camera) -> Bool[Array, ""]:
-    """Returns whether the box of a splat reaches into the image."""
+    """Returns whether the box of a splat overlaps the image."""
     size = jnp.array([camera.width, camera.height], mean2d.dtype)
     return jnp.all((mean2d + extent > 0) & (mean2d - extent < size))
 
@@ -175,7 +175,7 @@ def overlaps_image(mean2d: Float[Array, "2"], extent: Float[Array, "2"], camera:
 def direction(
     position: Float[Array, "3"], mean: Float[Array, "3"], usable: Bool[Array, ""]
 ) -> Float[Array, "3"]:
-    """Returns the unit vector from the camera to a Gaussian; zero, with zero gradient, if there is none."""
+    """Returns the unit vector from the camera to a Gaussian; zero, with zero gradient, if they coincide."""
     offset = jnp.where(usable, mean - position, 0)
     squared = offset @ offset
     apart = squared > 0

@@ -35,13 +35,13 @@ BackgroundLike = (
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Rendering:
-    """What a camera sees.
+    """Rendered image of one view.
 
     Attributes:
         rgb: display-referred colour over the background, at least 0; may exceed 1.
-        alpha: how much of the pixel is covered, in [0, 1].
-        depth: mean camera z of what covers the pixel, world units; 0 where nothing does.
-        features: the extra channels, weighted like colour, over nothing.
+        alpha: coverage of the pixel, in [0, 1].
+        depth: mean camera z of the splats that cover the pixel, world units; 0 if none does.
+        features: extra channels, weighted like colour, without a background.
     """
 
     rgb: Float[Array, "h w 3"]

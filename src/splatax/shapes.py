@@ -1,7 +1,7 @@
-"""Checks the shapes and dtypes of arrays where they enter the library, at trace time.
+"""Checks the shapes and dtypes of arrays that enter the library, at trace time.
 
-Shapes are written as jaxtyping writes them: "n 3" is any number of rows of three, and a letter stands
-for one number in all arrays of a call. Native code relies on these checks, and makes them again.
+Shapes use the notation of jaxtyping: "n 3" is any number of rows of three, and a letter stands for the same
+number in all arrays of a call. Native code checks shapes again.
 """
 
 from collections.abc import Mapping
@@ -15,19 +15,19 @@ LONGEST_SIDE = 1_000_000  # pixels; kernels count tiles in 16 bits
 
 
 def check_arrays(owner: str, arrays: Mapping[str, tuple[Any, str]], **sizes: int) -> dict[str, int]:
-    """Checks that arrays have the shapes they should have, and one floating-point dtype.
+    """Checks that arrays have the expected shapes, and one floating-point dtype.
 
     Args:
-        owner: what the arrays belong to, for the message: "Gaussians".
-        arrays: name -> (array, shape in words). The first array that has a letter in its shape decides
-            what the letter stands for in the others.
-        sizes: letters that stand for a known number already.
+        owner: owner of the arrays for the message, such as "Gaussians".
+        arrays: name -> (array, expected shape). The first array that has a letter in its shape defines
+            the number that the letter stands for.
+        sizes: letters whose number is known.
 
     Returns:
-        What each letter stands for.
+        The number of each letter.
 
     Raises:
-        ValueError: if one does not fit. The message names the array, its shape and the one it should have.
+        ValueError: if an array does not fit. The message names the array, its shape and the expected shape.
     """
     found = {name: (_shape(owner, name, array), words.split()) for name, (array, words) in arrays.items()}
     axes = {len(shape) - len(words) for shape, words in found.values()}
@@ -53,12 +53,12 @@ def check_dtypes(owner: str, arrays: Mapping[str, Any]) -> np.dtype:
     """Checks that arrays are all float32, or all float64, and returns that dtype.
 
     Raises:
-        ValueError: if one is of another kind, or two differ.
+        ValueError: if an array has another dtype, or two dtypes differ.
     """
     first: tuple[str, np.dtype] | None = None
     for name, array in arrays.items():
         if isinstance(array, int | float):
-            continue  # a Python number takes the dtype of what it meets
+            continue  # a Python number takes the dtype of the other operand
         dtype = jax.dtypes.canonicalize_dtype(array.dtype)
         if dtype.name not in COMPUTED_IN:
             raise ValueError(
@@ -76,10 +76,10 @@ def check_dtypes(owner: str, arrays: Mapping[str, Any]) -> np.dtype:
 
 
 def check_size(owner: str, width: Any, height: Any) -> None:
-    """Checks that an image has a size that can be drawn, in pixels.
+    """Checks that the size of an image, in pixels, can be drawn.
 
     Raises:
-        ValueError: if a side is no positive Python integer, or longer than 1,000,000.
+        ValueError: if a side is not a positive Python integer, or is above 1,000,000.
     """
     for name, side in (("width", width), ("height", height)):
         if isinstance(side, bool) or not isinstance(side, int) or not 1 <= side <= LONGEST_SIDE:

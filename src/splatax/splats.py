@@ -1,7 +1,7 @@
-"""The seam of the pipeline: `Splats`, the 2D Gaussians of one view.
+"""`Splats`, the 2D Gaussians of one view, which connect projection and rasterization.
 
-Left of it, a camera decides what is seen; right of it, a rasterizer paints that. The cotangent that crosses
-the seam is the signal that density control reads.
+Projection computes them from a scene and a camera, and a rasterizer draws them. Density control uses their
+cotangent, the gradient of the loss with respect to the splats.
 """
 
 from dataclasses import dataclass, field
@@ -13,7 +13,7 @@ from splatax.shapes import check_arrays, check_size
 
 MIN_ALPHA = 1 / 255  # below one 8-bit level a splat is not drawn
 MAX_ALPHA = 0.99  # keeps 1 - alpha invertible in backward passes
-MIN_TRANSMITTANCE = 1e-4  # a pixel is done before the splat that would take it lower
+MIN_TRANSMITTANCE = 1e-4  # a pixel is finished before the splat that would take it lower
 # (all three from the authors' code of Kerbl et al. 2023)
 
 
@@ -27,17 +27,17 @@ class Splats:
         min(0.99, opacities[i] exp(-((u dx + v dy)^2 + (w dy)^2) / 2)),   0 where below 1/255.
 
     Attributes:
-        means2d: x right, y down, pixels.
+        means2d: centres, x right, y down, pixels.
         sqrt_conics: triangular square root of the inverse covariance, 1 / pixels.
         depths: camera z, world units; nearest is drawn first, ties in their order here.
         extents: half width and height, pixels, of the box outside which alpha is 0. Zero means
-            culled: drawn nowhere, with a zero gradient.
+            culled: not drawn, with a zero gradient.
         colors: display-referred RGB, at least 0.
         opacities: alpha at the mean, in [0, 1].
-        width, height: of the image, pixels (static).
-        pull: None, or zeros to ask for a gradient that means2d cannot give: the sum over pixels of |dL/dx|
-            and |dL/dy|, which is how hard pixels pull at the mean even where they pull in opposite
-            directions. Its value changes nothing.
+        width, height: image size, pixels (static).
+        pull: None, or zeros to request a gradient that means2d does not have: the sums over pixels of |dL/dx|
+            and |dL/dy|, in which contributions of opposite sign do not cancel. The value does not affect the
+            image.
     """
 
     means2d: Float[Array, "n 2"]
@@ -52,9 +52,9 @@ class Splats:
 
 
 def checked(splats: Splats, channels: Float[Array, "n c"] | None = None) -> Splats:
-    """Returns the splats if their arrays fit together, and the channels to blend have a row for each.
+    """Checks that the arrays of splats and the channels to blend fit together, and returns the splats.
 
-    It looks at shapes and dtypes alone, so it works on traced arrays.
+    It checks only shapes and dtypes, so it works on traced arrays.
 
     Raises:
         ValueError: if a shape or dtype is wrong, or the image has no size.

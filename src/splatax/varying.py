@@ -1,7 +1,7 @@
-"""Arrays inside `jax.shard_map`: over which axes of the mesh each of them varies.
+"""Mesh axes over which arrays vary inside `jax.shard_map`.
 
-JAX keeps this in an array's type and requires that the operands of loops and of foreign functions agree.
-Outside `shard_map`, and with `check_vma=False`, nothing varies and the functions here change nothing.
+JAX keeps them in an array's type and requires that the operands of loops and of foreign functions agree.
+Outside `shard_map`, and with `check_vma=False`, no array varies and the functions here return their input.
 """
 
 from typing import Any
@@ -18,8 +18,8 @@ def varying_axes(*trees: Any) -> frozenset[str]:
 def vary_over(axes: frozenset[str], tree: Any) -> Any:
     """Returns a tree of the same arrays, typed as varying over these mesh axes too.
 
-    The transpose of this cast is a sum over the axes, so a gradient with respect to an array that all
-    devices share is the sum of what each device adds to it.
+    The transpose of this cast is a sum over the axes, so the gradient with respect to an array that all
+    devices share is the sum of the devices' contributions.
     """
 
     def cast(leaf):

@@ -33,7 +33,7 @@ def composite(
 
     columns = jnp.arange(splats.width, dtype=means2d.dtype) + 0.5
     rows = jnp.arange(splats.height, dtype=means2d.dtype) + 0.5
-    # A row of pixels at a time, computed again on the way back: memory for one row, not the image.
+    # Rows are recomputed in the backward pass, so memory holds one row instead of the image.
     row = jax.checkpoint(jax.vmap(pixel, in_axes=(0, None)))
     return jax.lax.map(lambda y: row(columns, y), rows)
 
@@ -41,7 +41,7 @@ def composite(
 def offsets(
     pixel: Float[Array, "2"], means2d: Float[Array, "n 2"], pull: Float[Array, "n 2"] | None
 ) -> Float[Array, "n 2"]:
-    """From the means to a pixel."""
+    """Returns the offsets from the means to a pixel."""
     return pixel[None, :] - means2d if pull is None else watched_offsets(pixel, means2d, pull)
 
 
@@ -49,7 +49,7 @@ def offsets(
 def watched_offsets(
     pixel: Float[Array, "2"], means2d: Float[Array, "n 2"], pull: Float[Array, "n 2"]
 ) -> Float[Array, "n 2"]:
-    """The same; `pull` gets the absolute value of what the pixel adds to the gradient of the means."""
+    """Returns the offsets; `pull` gets the absolute value of the pixel's part of the means' gradient."""
     return pixel[None, :] - means2d
 
 
@@ -64,7 +64,7 @@ def alphas_at(
     sqrt_conics: Float[Array, "n 3"],
     opacities: Float[Array, " n"],
 ) -> Float[Array, " n"]:
-    """alpha = min(0.99, opacity G) at offsets from the means, and 0 where that is below 1/255."""
+    """Returns alpha = min(0.99, opacity G) at offsets from the means, or 0 if that is below 1/255."""
     dx, dy = offsets.T
     u, v, w = sqrt_conics.T
     gaussian = jnp.exp(-0.5 * (jnp.square(u * dx + v * dy) + jnp.square(w * dy)))
@@ -73,7 +73,7 @@ def alphas_at(
 
 
 def weights_along_ray(alphas: Float[Array, " n"]) -> Float[Array, " n"]:
-    """T_i alpha_i from near to far, and 0 from the splat on that would take T below 1e-4."""
+    """Returns T_i alpha_i from near to far, and 0 from the splat that would take T below 1e-4."""
     after = jnp.cumprod(1 - alphas)
     before = jnp.concatenate([jnp.ones_like(after[:1]), after[:-1]])
     return jnp.where(after >= MIN_TRANSMITTANCE, before * alphas, 0)

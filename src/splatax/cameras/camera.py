@@ -1,4 +1,4 @@
-"""A pinhole camera, in the conventions of COLMAP and OpenCV."""
+"""Pinhole cameras, in the conventions of COLMAP and OpenCV."""
 
 from dataclasses import dataclass, field, replace
 
@@ -12,17 +12,17 @@ from splatax.shapes import check_arrays, check_size
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Camera:
-    """Where a picture was taken from, and through what lens.
+    """Pinhole camera: pose, intrinsics and image size.
 
     Camera axes are x right, y down, z forward. Pixel coordinates have the image's top left corner
-    at (0, 0), so the first pixel's centre is (0.5, 0.5). All but the size is traced: views of one
-    size share one compiled program, and every number here can have a gradient.
+    at (0, 0), so the first pixel's centre is (0.5, 0.5). All fields except the size are traced: views of one
+    size share one compiled program, and every traced number can have a gradient.
 
     Attributes:
         fx, fy: focal lengths, pixels.
         cx, cy: principal point, pixels.
         cam_from_world: rigid transform, p_cam = R p_world + t, as a 4 x 4 matrix.
-        width, height: pixels (static).
+        width, height: image size, pixels (static).
     """
 
     fx: Float[Array, ""]
@@ -37,37 +37,37 @@ class Camera:
     def simple_pinhole(
         cls, focal: float, cam_from_world: Float[Array, "4 4"], width: int, height: int
     ) -> "Camera":
-        """A camera with one focal length, pixels, and its principal point at the image's centre."""
+        """Returns a camera with one focal length, pixels, and its principal point at the image's centre."""
         dtype = cam_from_world.dtype
         f, cx, cy = (jnp.asarray(value, dtype) for value in (focal, width / 2, height / 2))
         return cls(f, f, cx, cy, cam_from_world, width, height)
 
     @property
     def rotation(self) -> Float[Array, "3 3"]:
-        """From world to camera axes."""
+        """Rotation from world to camera axes."""
         return self.cam_from_world[:3, :3]
 
     @property
     def translation(self) -> Float[Array, "3"]:
-        """The world's origin in camera axes."""
+        """World origin in camera axes."""
         return self.cam_from_world[:3, 3]
 
     @property
     def position(self) -> Float[Array, "3"]:
-        """The optical centre in the world, -R^T t."""
+        """Optical centre in the world, -R^T t."""
         return -self.rotation.T @ self.translation
 
     def to_camera(self, point: Float[Array, "3"]) -> Float[Array, "3"]:
-        """A world point in camera axes."""
+        """Returns a world point in camera axes."""
         return self.rotation @ point + self.translation
 
     def to_pixel(self, point: Float[Array, "3"]) -> Float[Array, "2"]:
-        """Where a point in camera axes, in front of the camera, appears in the image."""
+        """Returns the pixel coordinates of a point in camera axes, which must be in front of the camera."""
         x, y, z = point
         return jnp.array([self.fx * x / z + self.cx, self.fy * y / z + self.cy])
 
     def resized(self, width: int, height: int) -> "Camera":
-        """The same view sampled by another number of pixels."""
+        """Returns the camera with the same view and another image size."""
         sx, sy = width / self.width, height / self.height
         return replace(
             self,
@@ -83,7 +83,7 @@ class Camera:
 def look_at(
     position: Float[Array, "3"], target: Float[Array, "3"], up: Float[Array, "3"]
 ) -> Float[Array, "4 4"]:
-    """`cam_from_world` of a camera at `position` that looks at `target`, with `up` towards its top."""
+    """Returns `cam_from_world` of a camera at `position` that looks at `target`, with `up` at its top."""
     forward = (target - position) / jnp.linalg.norm(target - position)
     right = jnp.cross(forward, up)
     right = right / jnp.linalg.norm(right)
@@ -93,9 +93,9 @@ def look_at(
 
 
 def checked(camera: Camera) -> Camera:
-    """Returns the camera if it is one camera whose numbers have one dtype.
+    """Checks that the camera is one camera whose numbers have one dtype, and returns it.
 
-    It looks at shapes and dtypes alone, so it works on traced arrays.
+    It checks only shapes and dtypes, so it works on traced arrays.
 
     Raises:
         ValueError: if a shape or dtype is wrong, or the image has no size. Stacked cameras are refused too:

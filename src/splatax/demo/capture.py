@@ -1,4 +1,4 @@
-"""The still life as a capture in COLMAP's layout, with exact cameras and surface points."""
+"""Capture of the still life in COLMAP's layout, with exact cameras and surface points."""
 
 from pathlib import Path
 
@@ -24,7 +24,7 @@ def write_capture(folder: Path) -> None:
 
 
 def model_of(views: dict[str, Camera]) -> pycolmap.Reconstruction:
-    """A COLMAP model whose points lie on what the cameras see, observed wherever they are visible."""
+    """Returns a COLMAP model of points on surfaces, observed by all cameras that see them."""
     positions, colors = surface_points(list(views.values()))
     model = pycolmap.Reconstruction()
     width, height = SIZE
@@ -47,7 +47,7 @@ def model_of(views: dict[str, Camera]) -> pycolmap.Reconstruction:
 
 
 def observations(camera: Camera, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels of points, and which are inside the image with nothing in front of them."""
+    """Returns the pixels of points, and a mask of those inside the image that nothing hides."""
     points = jnp.asarray(positions, jnp.float32)
     pixels = np.asarray(jax.vmap(lambda point: camera.to_pixel(camera.to_camera(point)))(points), np.float64)
     inside = np.all((pixels > 0) & (pixels < SIZE), axis=1)

@@ -1,4 +1,4 @@
-"""The still life as a data set in memory: cameras around it, photos and surface points."""
+"""Data set of the still life in memory: cameras around it, photos and surface points."""
 
 from functools import cache, partial
 from itertools import count
@@ -13,7 +13,7 @@ from splatax.demo.raycast import look, photograph
 
 PHOTOS = 24
 SIZE = (160, 120)  # pixels
-FOCAL = 175.0  # pixels, at that size
+FOCAL = 175.0  # pixels, for photos of that size
 POINTS = 3000
 TARGET = np.array([-0.1, 0.05, 0.35])
 AZIMUTHS = (-30.0, 70.0)  # degrees from the back wall's normal; further left is behind the other wall
@@ -28,9 +28,9 @@ def demo_dataset(photos: int = PHOTOS, width: int = SIZE[0], height: int = SIZE[
     `pixels` is called for the first time.
 
     Args:
-        photos: how many, at least 1.
-        width: of a photo, pixels. The field of view stays the same across the width.
-        height: of a photo, pixels.
+        photos: number of photos, at least 1.
+        width: width of a photo, pixels. The horizontal field of view does not depend on it.
+        height: height of a photo, pixels.
 
     Raises:
         ValueError: if there is no photo, or a photo has no pixel.

@@ -1,4 +1,4 @@
-"""The portable backend: plain JAX for CPU, GPU and TPU."""
+"""Portable backend: plain JAX for CPU, GPU and TPU."""
 
 from splatax import losses, projection
 from splatax.backends.portable.composite import composite

@@ -1,9 +1,9 @@
-"""Which splats touch which tile, in rounds of bounded size, so that nothing is ever capped.
+"""Lists the splats that touch each tile, in rounds of bounded size, so that no list is ever truncated.
 
-Splats are sorted by depth once. Laying the tile boxes of all of them end to end gives a long row
-of slots, one per (splat, tile); a round takes the next `capacity` slots and sorts them by tile.
-Since blending goes front to back and carries its state, rounds add up to the exact image however
-many slots there are, in memory that does not grow with them.
+Splats are sorted by depth once. The tiles in the boxes of all splats, in this order, form a long sequence
+of slots, one per (splat, tile). A round takes the next `capacity` slots and sorts them by tile. Blending
+goes front to back and carries its state from round to round. The image is therefore exact for any number
+of slots, and memory does not grow with that number.
 
     splat (by depth)   0      1          2   3
     slots              t0 t1  t0 t1 t2   t1  t2 t3        <- sorted by tile: lists of one round
@@ -19,15 +19,15 @@ from jaxtyping import Array, Bool, Float, Int
 from splatax.backends.portable.sorting import bits_for, depth_order, stable_order
 from splatax.splats import MIN_ALPHA, Splats
 
-TILE = 8  # pixels a side: 16 has fewer slots, but 2.4 times the pixels to evaluate
-SLOTS_PER_TILE = 64  # of a full round, so that the chunks which tiles are blended in are filled
+TILE = 8  # pixels per side; 16 would have fewer slots, but 2.4 times the pixels to evaluate
+SLOTS_PER_TILE = 64  # slots of a full round per tile, enough to fill the chunks that blending uses
 SLOTS_PER_SPLAT = 2
-CAPACITY_BITS = (12, 22)  # least and most slots in a round; 2^22 take about 200 MB
-MAX_SLOTS = 2**31 - 1  # of a slab, counted in int32
+CAPACITY_BITS = (12, 22)  # log2 of the least and most slots in a round; 2^22 take about 200 MB
+MAX_SLOTS = 2**31 - 1  # slots of a slab, counted in int32
 
 
 class Grid(NamedTuple):
-    """The tiles of an image, in rows; the last row and column may stick out of it."""
+    """Tiles of an image, row by row; the last row and column may extend beyond the image."""
 
     width: int
     height: int
@@ -46,16 +46,16 @@ class Grid(NamedTuple):
 
 
 class Boxes(NamedTuple):
-    """Splats by depth, and the rectangle of tiles that each may touch."""
+    """Splats in depth order, and the rectangle of tiles that each may touch."""
 
     order: Int[Array, " n"]  # rows of the `Splats`, nearest first, culled ones last
     corner: Int[Array, "n 2"]  # first tile column and row
-    extent: Int[Array, "n 2"]  # how many columns and rows; zero when culled
+    extent: Int[Array, "n 2"]  # number of columns and rows; zero when culled
     ellipses: Float[Array, "n 8"]  # for `touches_tile`
 
 
 class Cursor(NamedTuple):
-    """Where the next round starts: a slab of splats, and a slot within it."""
+    """Start of the next round: a slab of splats, and a slot within it."""
 
     slab: Int[Array, ""]
     slot: Int[Array, ""]
@@ -66,21 +66,21 @@ class Cursor(NamedTuple):
 
 
 class Lists(NamedTuple):
-    """The slots of a round: tile t holds ranks[starts[t] : starts[t + 1]], nearest first."""
+    """Slots of a round: tile t holds ranks[starts[t] : starts[t + 1]], nearest first."""
 
     ranks: Int[Array, " capacity"]  # positions in the depth order
     starts: Int[Array, " tiles+1"]
 
 
 class Round(NamedTuple):
-    """The lists of a round, and where the one after it starts."""
+    """Lists of a round, and the start of the following round."""
 
     lists: Lists
     following: Cursor
 
 
 def tile_boxes(splats: Splats, grid: Grid) -> Boxes:
-    """The depth order, and the tiles whose pixel centres each splat's extent covers."""
+    """Returns the depth order, and the tiles whose pixel centres each splat's extent covers."""
     size = jnp.array([grid.width, grid.height], splats.means2d.dtype)
     first = jnp.maximum(jnp.ceil(splats.means2d - splats.extents - 0.5), 0)
     last = jnp.minimum(jnp.floor(splats.means2d + splats.extents - 0.5), size[None, :] - 1)
@@ -94,28 +94,34 @@ def tile_boxes(splats: Splats, grid: Grid) -> Boxes:
 
 
 def ellipses_of(splats: Splats) -> Float[Array, "n 8"]:
-    """(mean x, y, u, v, w, dx/dy and dy/dx where the ellipse is nearest to a line, reach^2)."""
+    """Returns rows for `touches_tile`: mean x, y, u, v, w, the slopes dx/dy and dy/dx, reach^2.
+
+    The slopes are those from the mean to the points of least distance on horizontal and vertical lines.
+    """
     u, v, w = splats.sqrt_conics.T
     reach = 2 * jnp.log(jnp.maximum(splats.opacities, MIN_ALPHA) / MIN_ALPHA)
-    # A margin for rounding: a tile too many costs time, one too few would cost pixels.
+    # A margin for rounding: an extra tile costs time, a missing one would lose pixels.
     columns = [u, v, w, -v / u, -u * v / (v * v + w * w), 1.001 * reach + 1e-3]
     return jnp.concatenate([splats.means2d, jnp.stack(columns, axis=1)], axis=1)
 
 
 def capacity_of_round(splats: int, grid: Grid) -> int:
-    """How many slots a round takes: a matter of speed alone."""
+    """Returns the number of slots in a round. It affects speed, but not the image."""
     wanted = bits_for(max(SLOTS_PER_TILE * grid.tiles, SLOTS_PER_SPLAT * splats))
     return 1 << min(max(wanted, CAPACITY_BITS[0]), CAPACITY_BITS[1])
 
 
 def slabs_of(splats: int, grid: Grid) -> tuple[int, int]:
-    """How many slabs of how many splats keep the slots of each countable in int32; mostly one."""
+    """Returns the number of slabs and their size in splats, so that int32 can count the slots of each.
+
+    There is almost always one slab.
+    """
     size = min(splats, MAX_SLOTS // grid.tiles)
     return -(-splats // size), size
 
 
 def bin_round(cursor: Cursor, boxes: Boxes, grid: Grid) -> Round:
-    """Lists the next slots of a slab by tile, without those whose ellipse misses the tile."""
+    """Lists the next slots of a slab by tile, without slots whose ellipse misses the tile."""
     n = boxes.order.shape[0]
     _, size = slabs_of(n, grid)
     capacity = capacity_of_round(n, grid)
@@ -127,11 +133,11 @@ def bin_round(cursor: Cursor, boxes: Boxes, grid: Grid) -> Round:
     ends = jnp.cumsum(count, dtype=jnp.int32) - cursor.slot
     starts, left = ends - count, ends[-1]
 
-    # The rank of a slot is the number of splats that begin at or before it.
+    # The rank of a slot is one less than the number of splats that begin at or before it.
     begun = jnp.sum(~own | ((count > 0) & (starts <= 0)), dtype=jnp.int32)
     begins = jnp.where((count > 0) & (starts > 0), starts, capacity)
     begin_here = jnp.zeros(capacity, jnp.int32).at[begins].set(1, mode="drop")
-    # The barriers here and below keep XLA from computing this again inside every gather.
+    # The barriers here and below keep XLA from recomputing the values inside every gather.
     ranks = lax.optimization_barrier(base + begun - 1 + jnp.cumsum(begin_here, dtype=jnp.int32))
 
     slot = jnp.arange(capacity, dtype=jnp.int32)
@@ -153,10 +159,10 @@ def bin_round(cursor: Cursor, boxes: Boxes, grid: Grid) -> Round:
 
 
 def touches_tile(ellipses: Float[Array, "m 8"], corner: Float[Array, "m 2"]) -> Bool[Array, " m"]:
-    """Whether alpha reaches 1/255 in the rectangle of a tile's pixel centres.
+    """Returns whether alpha reaches 1/255 in the rectangle of a tile's pixel centres.
 
-    The squared Mahalanobis distance is convex, so over a rectangle it is least on the edges that
-    face the mean: fix one coordinate at its nearest value, slide the other to its best.
+    The squared Mahalanobis distance is convex, so its minimum over a rectangle is on an edge that faces the
+    mean. On each of these edges one coordinate is fixed, and the other is clipped to its optimum.
     """
     x, y, u, v, w, x_per_y, y_per_x, reach = ellipses.T
     left, top = corner.T

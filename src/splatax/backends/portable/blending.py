@@ -1,11 +1,11 @@
-"""The blend of a chunk of splats into a batch of tiles, and its gradient.
+"""Blends a chunk of splats into a batch of tiles, and computes the gradient of the blend.
 
-Both go front to back and take the same decisions. The gradient needs nothing stored but the sums
-that the blend ended with: with values s_i = <c_i, dL/dC> and weights w_i = T_i alpha_i,
+Both go front to back and take the same decisions. The gradient needs only the final sums of the blend.
+Given values s_i = <c_i, dL/dC> and weights w_i = T_i alpha_i,
 
     alpha_i dL/d alpha_i = w_i s_i - alpha_i / (1 - alpha_i) (sum_{j>i} w_j s_j)
 
-and the sum over what lies behind is the total less what was blended so far.
+and the sum over the splats behind is the total minus the sum over the splats blended so far.
 """
 
 import jax.numpy as jnp
@@ -17,10 +17,10 @@ from splatax.backends.portable.binning import TILE
 from splatax.backends.portable.tiles import PIXELS, Chunk, X, Y
 from splatax.splats import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE
 
-SHAPE = 6  # columns of a table row before its channels
-GROUP = 4  # splats whose running product or sum is written out
+SHAPE = 6  # columns of a table row that precede its channels
+GROUP = 4  # splats whose running product or sum is unrolled
 CENTRE = TILE / 2
-MOMENTS = np.stack(  # of a tile's pixels about its centre, where they are small numbers
+MOMENTS = np.stack(  # of a tile's pixels about its centre, where coordinates are small
     [
         np.ones(PIXELS),
         X - CENTRE,
@@ -41,7 +41,7 @@ def blend(
     alphas = lax.optimization_barrier(clamp(raw_alphas(chunk)))
     weights, transmittance = blend_weights(alphas, transmittance)
     weights = lax.optimization_barrier(weights)
-    # Written out over k: XLA's small batched matmul is several times slower on CPU.
+    # The loop over k is unrolled: XLA's small batched matmul is several times slower on CPU.
     for k in range(weights.shape[1]):
         sums = sums + chunk.rows[:, k, SHAPE:, None] * weights[:, k, None, :]
     return (transmittance, sums), None
@@ -53,15 +53,15 @@ def blend_gradient(
     chunk: Chunk,
     watched: bool,
 ) -> tuple[tuple[Float[Array, "b p"], Float[Array, "b p"], Float[Array, "b c p"]], Float[Array, "rows t"]]:
-    """Adds what a chunk contributes to the gradients of its splats.
+    """Adds the contribution of a chunk to the gradients of its splats.
 
     Args:
-        state: transmittance, the value that lies behind, dL/d sums.
+        state: transmittance, sum of w_j s_j over the splats behind, dL/d sums.
         gradients: for each row, the moments sum g, sum g dx, sum g dy, sum g dx^2, sum g dx dy,
             sum g dy^2 over pixels, where g = alpha dL/d alpha; then dL/d channels; then, if
             watched, sum |dL/dx|, sum |dL/dy|.
-        chunk: the splats.
-        watched: whether the gradient of `Splats.pull` is asked for.
+        chunk: splats to process.
+        watched: whether the gradient of `Splats.pull` is requested.
     """
     transmittance, behind, d_sums = state
     raw = lax.optimization_barrier(raw_alphas(chunk))
@@ -72,7 +72,7 @@ def blend_gradient(
     shares = lax.optimization_barrier(weights * values)
     blended, total = running(jnp.add, shares, jnp.zeros_like(behind))
     still_behind = behind[:, None] - blended - shares
-    # Where alpha is clamped it does not depend on the splat's shape.
+    # A clamped alpha does not depend on the splat's shape.
     flexible = (weights > 0) & (raw <= MAX_ALPHA)
     g = jnp.where(flexible, shares - alphas / (1 - alphas) * still_behind, 0)
     g = lax.optimization_barrier(g)
@@ -87,7 +87,7 @@ def blend_gradient(
 
 
 def pull_of(g: Float[Array, "b k p"], chunk: Chunk) -> Float[Array, "b k 2"]:
-    """Sums over pixels of |dL/d mean|, where dL/d mean is g (t (u, v) + s (0, w))."""
+    """Returns the sums over pixels of |dL/d mean|, where dL/d mean is g (t (u, v) + s (0, w))."""
     u, v, w = (chunk.rows[:, :, i, None] for i in range(2, 5))
     t, s = along_axes(chunk)
     return jnp.stack(
@@ -96,12 +96,12 @@ def pull_of(g: Float[Array, "b k p"], chunk: Chunk) -> Float[Array, "b k 2"]:
 
 
 def means_in_tile(chunk: Chunk) -> Float[Array, "b k 2"]:
-    """Means of the splats, from the corner of their tile."""
+    """Returns the means of the splats, relative to the corner of their tile."""
     return chunk.rows[..., :2] - chunk.corner[:, None, :]
 
 
 def about_mean(moments: Float[Array, "b k 6"], means: Float[Array, "b k 2"]) -> Float[Array, "b k 6"]:
-    """Moments about the tile's centre, moved to the splats' means."""
+    """Shifts moments about the tile's centre to moments about the splats' means."""
     g, gx, gy, gxx, gxy, gyy = jnp.moveaxis(moments, -1, 0)
     dx, dy = jnp.moveaxis(CENTRE - means, -1, 0)
     x1, y1 = gx + dx * g, gy + dy * g
@@ -111,13 +111,13 @@ def about_mean(moments: Float[Array, "b k 6"], means: Float[Array, "b k 2"]) -> 
 
 
 def raw_alphas(chunk: Chunk) -> Float[Array, "b k p"]:
-    """opacity G at the pixels of a tile, before it is clamped."""
+    """Returns opacity G at the pixels of a tile, before it is clamped."""
     t, s = along_axes(chunk)
     return chunk.rows[:, :, 5, None] * jnp.exp(-0.5 * (jnp.square(t) + jnp.square(s)))
 
 
 def along_axes(chunk: Chunk) -> tuple[Float[Array, "b k p"], Float[Array, "b k p"]]:
-    """t = u dx + v dy and s = w dy at the pixels of a tile."""
+    """Returns t = u dx + v dy and s = w dy at the pixels of a tile."""
     u, v, w = (chunk.rows[:, :, i, None] for i in range(2, 5))
     x, y = jnp.moveaxis(means_in_tile(chunk), -1, 0)
     dx = jnp.asarray(X, x.dtype)[None, None] - x[..., None]
@@ -126,14 +126,17 @@ def along_axes(chunk: Chunk) -> tuple[Float[Array, "b k p"], Float[Array, "b k p
 
 
 def clamp(raw: Float[Array, "b k p"]) -> Float[Array, "b k p"]:
-    """min(0.99, alpha), and 0 below 1/255."""
+    """Returns min(0.99, alpha), or 0 below 1/255."""
     return jnp.where(raw >= MIN_ALPHA, jnp.minimum(raw, MAX_ALPHA), 0)
 
 
 def blend_weights(
     alphas: Float[Array, "b k p"], transmittance: Float[Array, "b p"]
 ) -> tuple[Float[Array, "b k p"], Float[Array, "b p"]]:
-    """T_i alpha_i, and the transmittance that remains: 0 once a splat would take it below 1e-4."""
+    """Returns the weights T_i alpha_i, and the remaining transmittance.
+
+    The transmittance is 0 once a splat would take it below 1e-4.
+    """
     before, after = running(jnp.multiply, 1 - alphas, transmittance)
     weights = jnp.where(before * (1 - alphas) >= MIN_TRANSMITTANCE, before * alphas, 0)
     return weights, jnp.where(after >= MIN_TRANSMITTANCE, after, 0)
@@ -142,10 +145,10 @@ def blend_weights(
 def running(
     combine, values: Float[Array, "b k p"], start: Float[Array, "b p"]
 ) -> tuple[Float[Array, "b k p"], Float[Array, "b p"]]:
-    """start, start * v_0, start * v_0 * v_1, ... along k; and the last, which includes all.
+    """Returns start, start * v_0, start * v_0 * v_1, ... along k, and the total, which includes all values.
 
-    In two levels, each written out: XLA's own cumulative sums and products are many times slower
-    on CPU, and so is a loop over k.
+    It has two levels, both unrolled: XLA's own cumulative sums and products are many times slower on CPU, and
+    so is a loop over k.
     """
     b, k, p = values.shape
     groups = values.reshape(b, k // GROUP, GROUP, p)

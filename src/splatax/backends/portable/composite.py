@@ -1,11 +1,12 @@
-"""The portable rasterizer: plain JAX with a hand-written gradient.
+"""Portable rasterizer: plain JAX with a hand-written gradient.
 
-    sorting.py    orders from word sorts
-    binning.py    splats -> lists of splats by tile, in rounds of bounded size
-    tiles.py      the walk over tiles and lists
-    blending.py   what happens to a pixel, forward and backward
+sorting.py    stable orders from sorts of words
+binning.py    splats -> lists of splats by tile, in rounds of bounded size
+tiles.py      the loop over tiles and lists
+blending.py   the blend of a chunk of splats, forward and backward
 
-The gradient stores no blend: it walks the tiles again from the final sums.
+The forward pass stores no intermediate blends: the backward pass goes over the tiles again, starting from
+the final sums.
 """
 
 from collections.abc import Callable
@@ -26,7 +27,7 @@ from splatax.varying import vary_over, varying_axes
 
 
 class Residuals(NamedTuple):
-    """Residuals: what the forward pass leaves for the backward pass."""
+    """Residuals that the forward pass leaves for the backward pass."""
 
     splats: Splats
     channels: Float[Array, "n c"]
@@ -95,8 +96,10 @@ composite.defvjp(forward, backward)
 
 
 def table_of(splats: Splats, channels: Float[Array, "n c"], boxes: Boxes) -> Float[Array, "rows t"]:
-    """Returns shape, opacity and channels of the splats by depth, a channel of ones for alpha, and a last row
-    that draws nothing."""
+    """Returns shape, opacity and channels of the splats, a row per splat in depth order.
+
+    An additional channel of ones yields alpha. An additional last row draws nothing.
+    """
     columns = [
         splats.means2d,
         splats.sqrt_conics,
@@ -108,7 +111,7 @@ def table_of(splats: Splats, channels: Float[Array, "n c"], boxes: Boxes) -> Flo
 
 
 def inside(grid: Grid, dtype) -> Float[Array, "tiles p"]:
-    """Returns the transmittance to begin with: 1 in the image, 0 in what sticks out of it."""
+    """Returns the initial transmittance: 1 inside the image, 0 outside."""
     corner = corners(jnp.arange(grid.tiles), grid, dtype)
     x, y = corner[:, :1] + jnp.asarray(X, dtype)[None], corner[:, 1:] + jnp.asarray(Y, dtype)[None]
     return ((x < grid.width) & (y < grid.height)).astype(dtype)

@@ -1,8 +1,8 @@
 """Stable orders of integer keys from sorts of single 32-bit words.
 
-XLA sorts one array of words several times faster than pairs of arrays on CPU. So a key is cut
-into digits, each digit is packed above the position of its row, and one word sort per digit,
-least significant first, leaves a stable order (an LSD radix sort with a large radix).
+XLA sorts one array of words several times faster than pairs of arrays on CPU. A key is therefore cut into
+digits, and each digit is packed above the position of its row. One word sort per digit, least significant
+first, yields a stable order (an LSD radix sort with a large radix).
 """
 
 import jax.numpy as jnp
@@ -15,14 +15,14 @@ WORD_BITS = 32
 
 
 def bits_for(count: int) -> int:
-    """Bits that tell `count` different values apart, at least one."""
+    """Returns the number of bits that distinguish `count` values, at least one."""
     return max(1, (count - 1).bit_length())
 
 
 def stable_order(keys: UInt32[Array, " n"]) -> Int[Array, " n"]:
-    """The permutation that sorts keys ascending and leaves equal ones in their order.
+    """Returns the permutation that sorts keys in ascending order and keeps equal keys in their order.
 
-    It takes as many passes as the largest key needs: small keys are cheap.
+    The number of passes depends on the largest key, so small keys are cheap.
     """
     position_bits = bits_for(keys.shape[0])
     digit_bits = WORD_BITS - position_bits
@@ -42,9 +42,9 @@ def stable_order(keys: UInt32[Array, " n"]) -> Int[Array, " n"]:
 
 
 def depth_order(depths: Float[Array, " n"], visible: Bool[Array, " n"]) -> Int[Array, " n"]:
-    """Rows by increasing depth, ties in their order, the invisible ones last.
+    """Returns the rows by increasing depth, ties in their order, invisible ones last.
 
-    Every bit of a float32 depth counts: positive floats sort like their bit patterns.
+    It compares all bits of a float32 depth, because positive floats sort like their bit patterns.
     """
     if depths.dtype != jnp.float32:
         return jnp.argsort(jnp.where(visible, depths, jnp.inf), stable=True).astype(jnp.int32)

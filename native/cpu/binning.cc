@@ -7,11 +7,11 @@
 namespace splatax {
 namespace {
 
-constexpr int DIGIT_BITS = 11, DIGITS = 1 << DIGIT_BITS;  // of the radix sort: three passes
+constexpr int DIGIT_BITS = 11, DIGITS = 1 << DIGIT_BITS;  // radix sort in three passes
 
-constexpr int SMALL_BOX = 4;  // tiles: up to so many are listed without looking at the ellipse
+constexpr int SMALL_BOX = 4;  // tiles; smaller boxes are listed without testing the ellipse
 
-// Keeps the order of floats, negative ones too.
+// Maps floats to integers in the same order, negative ones too.
 uint32_t sort_key(float depth) {
   uint32_t bits;
   std::memcpy(&bits, &depth, sizeof bits);
@@ -23,7 +23,7 @@ bool prepare(const Input& input, int row, Splat& splat) {
   const float x = input.means2d[2 * row], y = input.means2d[2 * row + 1];
   const float half_width = input.extents[2 * row], half_height = input.extents[2 * row + 1];
   const float opacity = input.opacities[row];
-  // Written so that NaN is culled.
+  // The condition is written so that NaN is culled.
   if (!(half_width > 0 && half_height > 0 && opacity >= MIN_ALPHA)) return false;
   const float left = std::max(std::ceil(x - half_width - 0.5f), 0.0f);
   const float right = std::min(std::floor(x + half_width - 0.5f), input.width - 1.0f);
@@ -67,7 +67,7 @@ void append(std::vector<Span>& spans, int row, int first, int last) {
 // dy = -v sqrt(reach) / (w sqrt(v^2 + w^2)), or at the end of the band next to that; the left end,
 // by symmetry, opposite.
 int append_spans(const Splat& splat, std::vector<Span>& spans) {
-  if (box_tiles(splat) <= SMALL_BOX) {  // the blocks of its tiles will tell
+  if (box_tiles(splat) <= SMALL_BOX) {  // the blocks of its tiles are tested later
     for (int row = splat.first_row; row <= splat.last_row; ++row) {
       append(spans, row, splat.first_column, splat.last_column);
     }
@@ -124,7 +124,7 @@ void Binning::collect(const Input& input, Workers& workers, int64_t max_pairs) {
     }
     begins[range] = begin, found[range] = place - begin;
   });
-  // Closes the gaps between what the ranges found, in keys and places alone.
+  // Closes the gaps between the splats of the ranges, moving only keys and places.
   visible = 0;
   for (int range = 0; range < workers.count(); ++range) {
     for (int i = 0; i < found[range]; ++i, ++visible) {

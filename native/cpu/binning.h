@@ -1,12 +1,11 @@
-// Which splats touch which tile, nearest first.
+// Lists the splats that touch each tile, nearest first.
 //
 //   1. collect   splats that are in the image, with the box of tiles of each
 //   2. order     them by depth (radix sort, stable: ties stay in the order of the input)
 //   3. list      in that order, append each to the tiles that its ellipse touches
 //
-// No list is sorted, because splats arrive in order. Splats are listed in rounds of at most so many
-// (splat, tile) pairs; blending carries its state from one round to the next, so memory is bounded
-// and nothing is ever dropped.
+// No list is sorted, because splats arrive in order. A round lists a bounded number of (splat, tile) pairs.
+// Blending carries its state from one round to the next, so memory is bounded and no pair is dropped.
 #pragma once
 
 #include <cstdint>
@@ -19,10 +18,10 @@
 
 namespace splatax {
 
-// An entry of a tile's list.
+// Entry of a tile's list.
 struct Pair {
-  int32_t splat;  // by depth
-  int32_t index;  // of the pair, counted splat by splat
+  int32_t splat;  // position in depth order
+  int32_t index;  // number of the pair, counted splat by splat
 };
 
 // The tiles of a row that a splat touches.
@@ -30,30 +29,30 @@ struct Span {
   uint16_t row, first, last;
 };
 
-// Splats [begin, end) by depth.
+// Splats [begin, end) in depth order.
 struct Round {
   int begin, end;
 };
 
-// A tile, and its list in a round.
+// Tile with its list in a round.
 struct Tile {
-  int number, left, top;  // row by row; corner, pixels
-  const Splat* splats;    // of all tiles
+  int number, left, top;  // number in row-major order; corner, pixels
+  const Splat* splats;    // splats of all tiles
   const Pair* pairs;
-  int count;              // of pairs
+  int count;              // number of pairs
 };
 
 class Binning {
  public:
-  // Steps 1 and 2. Afterwards `splats` holds `visible` of them by depth, in at least one round.
+  // Steps 1 and 2. Afterwards `splats` holds the `visible` splats in depth order, in at least one round.
   void collect(const Input& input, Workers& workers, int64_t max_pairs);
 
-  // Puts channels [first, first + size) of the input into the splats, unless they are there.
+  // Copies channels [first, first + size) of the input to the splats, unless they are already there.
   void load_channels(const Input& input, int first, int size, Workers& workers);
 
-  // Step 3 for one of `rounds`, unless it is the one that was listed last. Afterwards there are
-  // `tile`s and their `pair_count()` pairs; those of splat i have the indices from
-  // `first_pair[i - begin]` to the next one's.
+  // Step 3 for one of `rounds`, unless it was the last one that was listed. Afterwards `tile` returns
+  // the tiles of the round, which have `pair_count()` pairs. The pairs of splat i have the indices from
+  // `first_pair[i - begin]` up to `first_pair[i - begin + 1]`.
   void list(int round, Workers& workers);
 
   int columns = 0, rows = 0, visible = 0;
@@ -61,7 +60,7 @@ class Binning {
   Buffer<Splat> splats;
   Buffer<int32_t> first_pair;
 
-  // Whether the splats that were collected last came from an input of this size.
+  // Returns whether the splats that were collected last came from an input of this size.
   bool fits(const Input& input) const {
     return input.count == count_ && input.channel_count == channel_count_ && input.width == width_ &&
            input.height == height_;
@@ -81,16 +80,16 @@ class Binning {
   void order(Workers& workers);
 
   int listed_ = NONE, loaded_ = NONE;  // round, first channel
-  int count_ = NONE, channel_count_ = NONE, width_ = NONE, height_ = NONE;  // of the input
+  int count_ = NONE, channel_count_ = NONE, width_ = NONE, height_ = NONE;  // sizes of the input
 
   Buffer<Pair> pairs_;
-  Buffer<int32_t> starts_;  // of the tiles' lists in `pairs_`, and their end
+  Buffer<int32_t> starts_;  // starts of the tiles' lists in `pairs_`, and their end
 
   Buffer<Splat> collected_;
   Buffer<uint32_t> keys_, sorted_keys_;
   Buffer<int32_t> places_, sorted_places_;
   Histogram histogram_;
-  std::vector<std::vector<Span>> spans_;  // of each range of splats
+  std::vector<std::vector<Span>> spans_;  // spans of each range of splats
 };
 
 }  // namespace splatax

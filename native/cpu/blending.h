@@ -1,4 +1,4 @@
-// The image of a tile: its splats blended front to back.
+// Image of a tile: its splats blended front to back.
 //
 //   C = sum_i T_i alpha_i c_i,   T_i = prod_{j<i} (1 - alpha_j)         (Kerbl et al. 2023, Eq. 3)
 #pragma once
@@ -7,10 +7,10 @@
 
 namespace splatax {
 
-// Of a tile, block by block, between rounds and in the end.
+// State of a tile, block by block, between rounds and at the end.
 template <int C>
 struct TileImage {
-  // Of a pixel that is done, or outside the image: negated.
+  // Negated for a pixel that is finished or outside the image.
   alignas(64) float transmittance[BLOCKS][LANES];
   alignas(64) float sums[C][BLOCKS][LANES];
 
@@ -33,7 +33,7 @@ struct TileImage {
   }
 
  private:
-  // Blends the splats whose bits are set; false once all its pixels are done.
+  // Blends the splats whose bits are set; returns false once all pixels of the block are finished.
   template <class Count>
   bool blend_block(const Chunk& chunk, uint64_t touching, int b, const Tile& tile, const Count& count) {
     const PixelCentres centres;

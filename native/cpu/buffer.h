@@ -1,4 +1,4 @@
-// Memory that only grows and is not initialized, kept between calls: fresh pages are slow.
+// Memory that only grows, is not initialized, and is kept between calls, because fresh pages are slow.
 #pragma once
 
 #include <cstddef>
@@ -20,7 +20,7 @@ class Buffer {
     }
     return memory_.get();
   }
-  // The same for records of another type, which start at a cache line.
+  // Returns memory for records of another type, which start at a cache line.
   template <class Record>
   Record* aligned(size_t count) {
     const auto address = reinterpret_cast<uintptr_t>(at_least((count * sizeof(Record) + 63) / sizeof(T) + 64));

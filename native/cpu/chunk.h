@@ -1,4 +1,4 @@
-// Up to 64 splats of a tile's list, field by field, and which blocks of pixels each one touches.
+// Up to 64 splats of a tile's list, field by field, and the blocks of pixels that each splat touches.
 #pragma once
 
 #include "binning.h"
@@ -7,7 +7,7 @@
 
 namespace splatax {
 
-constexpr int CHUNK = 64;  // a bit each in a word
+constexpr int CHUNK = 64;  // splats, one bit each in a word
 
 struct Chunk {
   alignas(64) float x[CHUNK], y[CHUNK], u[CHUNK], v[CHUNK], w[CHUNK], level[CHUNK], reach[CHUNK];
@@ -25,7 +25,7 @@ struct Chunk {
       x_per_y[i] = splat.x_per_y, y_per_x[i] = splat.y_per_x;
       for (int c = 0; c < C; ++c) channels[c][i] = splat.channels[c];
     }
-    // Vectors read past the end, up to the next sixteen: nothing there reaches anything.
+    // Vectors read past the end, up to the next multiple of sixteen; splats there reach no pixel.
     for (int i = count; i % LANES != 0; ++i) {
       x[i] = y[i] = u[i] = v[i] = w[i] = x_per_y[i] = y_per_x[i] = 0, reach[i] = -1;
     }
@@ -34,8 +34,8 @@ struct Chunk {
   // Sets bit i of touching[b] where the ellipse of splat i reaches a pixel centre's rectangle of
   // block b. `left` and `top` are the tile's corner.
   //
-  // t^2 + s^2 is convex, so over a rectangle it is least on the edges that face the mean: fix one
-  // coordinate at its nearest value, slide the other to its best.
+  // t^2 + s^2 is convex, so its minimum over a rectangle is on an edge that faces the mean. On each of
+  // these edges one coordinate is fixed, and the other is clipped to its optimum.
   void find_blocks(float left, float top, uint64_t touching[BLOCKS]) const {
     for (int b = 0; b < BLOCKS; ++b) touching[b] = 0;
     const Lanes zero = broadcast(0), side = broadcast(BLOCK - 1);
@@ -62,15 +62,15 @@ struct Chunk {
   }
 };
 
-// Which blocks have pixels that are not done, a bit each.
+// Blocks with unfinished pixels, one bit each.
 inline uint32_t live_blocks(const float (*transmittance)[LANES]) {
   uint32_t live = 0;
   for (int b = 0; b < BLOCKS; ++b) live |= any(broadcast(0) <= load(transmittance[b])) ? 1u << b : 0;
   return live;
 }
 
-// Calls body(chunk, touching, first) for one chunk of a tile's list after the other, as long as a block
-// is live; `first` is the place of the chunk's first splat in the list.
+// Calls body(chunk, touching, first) for each chunk of a tile's list in order, while a block is live.
+// `first` is the position of the chunk's first splat in the list.
 template <int C, class Body>
 SPLATAX_INLINE void each_chunk(const Tile& tile, const uint32_t& live, const Body& body) {
   Chunk chunk;
@@ -82,7 +82,7 @@ SPLATAX_INLINE void each_chunk(const Tile& tile, const uint32_t& live, const Bod
   }
 }
 
-// Centres of a block's pixels, from its corner.
+// Centres of a block's pixels, relative to its corner.
 struct PixelCentres {
   Lanes x, y;
 
@@ -95,7 +95,7 @@ struct PixelCentres {
   }
 };
 
-// What a splat does to a block of pixels; forward and backward must agree to the bit.
+// Effect of a splat on a block of pixels; forward and backward passes must agree bit by bit.
 struct Blend {
   Lanes t, s;                       // along the axes of its square root
   Lanes raw, alpha, weight, after;  // opacity G; clamped, garbage where not drawn; T alpha; T behind it

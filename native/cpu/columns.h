@@ -1,7 +1,7 @@
-// Sixteen rows of a few numbers, as columns: how arrays of vectors get into lanes, and back.
+// Sixteen rows of a few numbers, as columns: transposes arrays of vectors to lanes and back.
 //
-// Four by four numbers are transposed in registers; machines that gather and scatter in one
-// instruction are no faster with it, and some much slower.
+// Blocks of four by four numbers are transposed in registers. Gather and scatter instructions are no
+// faster, and on some machines much slower.
 #pragma once
 
 #include "lanes.h"
@@ -31,7 +31,7 @@ template <int MAX>
 class Columns {
  public:
   Columns() {}
-  // From rows of `width` numbers each; rows past `count` repeat the last one.
+  // Reads rows of `width` numbers each; rows past `count` repeat the last one.
   Columns(const float* rows, int width, int count) { read(rows, width, count); }
 
   SPLATAX_INLINE Lanes operator[](int k) const { return load(values_[k]); }
@@ -60,7 +60,7 @@ class Columns {
     }
   }
 
-  // To the first `count` rows of `width` numbers each.
+  // Writes the first `count` rows of `width` numbers each.
   SPLATAX_INLINE void write(float* rows, int width, int count) const {
     const int whole = count == LANES ? width / 4 * 4 : 0;
     for (int k = 0; k < whole; k += 4) {

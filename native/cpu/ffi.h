@@ -1,5 +1,5 @@
-// How XLA hands arrays over, and the checks of their shapes. Every handler makes them before it reads a number:
-// what comes from a file, or from a caller who took a wrong turn, must never reach a kernel's pointers.
+// Arrays from XLA, and checks of their shapes. Every handler checks before it reads a number, because arrays
+// of wrong shapes, from a file or a caller's mistake, must never reach a kernel's pointers.
 #pragma once
 
 #include <algorithm>
@@ -22,10 +22,10 @@ using Counts = ffi::ResultBuffer<ffi::S32>;
 constexpr int64_t LONGEST_SIDE = 1000000;  // pixels; as in splatax/shapes.py. Tiles are counted in 16 bits
 constexpr int64_t MOST_ROWS = INT32_MAX;   // rows are counted in 32 bits
 
-// Collects what is wrong with the arrays of a call; the first finding is reported.
+// Collects errors in the arrays of a call; the first one is reported.
 class Checks {
  public:
-  // The sizes of an array that has this rank; zeros, and a finding, if it has another.
+  // Returns the sizes of an array of this rank; reports an error and returns zeros if it has another rank.
   template <size_t RANK, class Array>
   std::array<int64_t, RANK> sizes(const char* name, Array& array) {
     std::array<int64_t, RANK> result{};
@@ -38,7 +38,7 @@ class Checks {
     return result;
   }
 
-  // Finds an array whose shape differs.
+  // Reports an array whose shape differs.
   template <class Array>
   Checks& shape(const char* name, Array& array, std::initializer_list<int64_t> expected) {
     const auto dimensions = dimensions_of(array);
@@ -48,7 +48,7 @@ class Checks {
     return *this;
   }
 
-  // Finds a number that is outside of [least, most].
+  // Reports a number that is outside of [least, most].
   Checks& range(const char* name, int64_t value, int64_t least, int64_t most) {
     if (value < least || value > most) {
       report(std::string(name) + " is " + std::to_string(value) + ", not from " + std::to_string(least) + " to " +
@@ -86,7 +86,7 @@ class Checks {
   std::string finding_;
 };
 
-// Runs the body of a handler, which returns nothing, and turns a lack of memory into an error of the call.
+// Runs the body of a handler, which returns nothing, and turns a failed allocation into an error of the call.
 template <class Body>
 ffi::Error guarded(const char* call, const Body& body) {
   try {
@@ -98,7 +98,7 @@ ffi::Error guarded(const char* call, const Body& body) {
   }
 }
 
-// A binding to which `add` has added something N times.
+// Binding to which `add` was applied N times.
 template <int N, class Binding, class Add>
 auto repeated(Binding&& binding, const Add& add) {
   if constexpr (N == 1) {
@@ -108,7 +108,7 @@ auto repeated(Binding&& binding, const Add& add) {
   }
 }
 
-// A binding with N more arrays, all of them float32, as arguments or results.
+// Binding with N more float32 arrays as arguments or results.
 template <int N, class Binding>
 auto arrays(Binding&& binding) {
   return repeated<N>(std::move(binding), [](auto&& b) { return std::move(b).template Arg<FloatArray>(); });
@@ -118,7 +118,7 @@ auto results(Binding&& binding) {
   return repeated<N>(std::move(binding), [](auto&& b) { return std::move(b).template Ret<FloatArray>(); });
 }
 
-// The beginning of every binding.
+// Beginning of every binding.
 inline auto call() { return ffi::Ffi::Bind().Ctx<ffi::ThreadPool>(); }
 
 }  // namespace splatax

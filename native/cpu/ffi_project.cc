@@ -6,11 +6,11 @@
 namespace splatax {
 namespace {
 
-// The arrays of a scene and a camera.
+// Arrays of a scene and a camera.
 struct SceneArrays {
   const FloatArray &means, &quats, &log_scales, &opacity_logits, &sh, &camera;
 
-  // Checks them against each other; returns how many Gaussians and SH coefficients there are.
+  // Checks them against each other; returns the numbers of Gaussians and SH coefficients.
   std::array<int64_t, 2> check(Checks& checks) const {
     const auto [n, k, three] = checks.sizes<3>("sh", sh);
     checks.range("the number of Gaussians", n, 0, MOST_ROWS);

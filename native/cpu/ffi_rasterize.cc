@@ -7,11 +7,11 @@
 namespace splatax {
 namespace {
 
-// The six arrays that describe the splats of a view.
+// Six arrays that describe the splats of a view.
 struct SplatArrays {
   const FloatArray &means2d, &sqrt_conics, &depths, &extents, &opacities, &channels;
 
-  // Checks them against each other; returns how many splats and channels there are.
+  // Checks them against each other; returns the numbers of splats and channels.
   std::array<int64_t, 2> check(Checks& checks) const {
     const auto [n, c] = checks.sizes<2>("channels", channels);
     checks.range("the number of splats", n, 0, MOST_ROWS).range("the number of channels", c, 0, MOST_ROWS);

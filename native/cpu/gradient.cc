@@ -6,7 +6,7 @@
 namespace splatax {
 namespace {
 
-// Adds what the pairs of a splat contribute to its gradients.
+// Adds the contributions of a splat's pairs to its gradients.
 //
 // With t = u dx + v dy, s = w dy and alpha = o exp(-(t^2 + s^2) / 2), and sums over pixels of g:
 //
@@ -53,14 +53,14 @@ void gather(const Input& input, const Binning& binning, const Round& round, cons
   });
 }
 
-// The state of a tile before its first splat.
+// State of a tile before its first splat.
 template <int C, bool PULLED>
 void start(const Input& input, const Cotangents& cotangents, int first, int size, const Tile& tile,
            TileGradient<C, PULLED>& state) {
   std::memset(static_cast<void*>(&state), 0, sizeof state);
   let_light_through(input, tile, state.transmittance);
   each_pixel(input, tile, [&](int b, int lane, size_t pixel) {
-    // Alpha counts once, with the first channels.
+    // Alpha is counted once, with the first channels.
     state.d_alpha[b][lane] = first == 0 ? cotangents.d_alpha[pixel] : 0;
     float behind = state.d_alpha[b][lane] * cotangents.alpha[pixel];
     for (int c = 0; c < size; ++c) {

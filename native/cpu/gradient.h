@@ -1,12 +1,12 @@
-// The gradient of a tile, front to back as the blend went, from the sums that it ended with.
+// Gradient of a tile, front to back like the blend, from the blend's final sums.
 //
-// With s_i = <c_i, dL/dC> + dL/dA, for sums C and alpha A, and weights w_i = T_i alpha_i, the sum of
-// all w_i s_i is known beforehand: <C, dL/dC> + A dL/dA. What lies behind splat i is that, less what
-// was blended up to it, so
+// Let s_i = <c_i, dL/dC> + dL/dA, for sums C and alpha A, and weights w_i = T_i alpha_i. The sum of all
+// w_i s_i is known in advance: <C, dL/dC> + A dL/dA. The sum over the splats behind splat i is this total
+// minus the sum up to splat i, so
 //
 //   g_i = alpha_i dL/d alpha_i = w_i s_i - alpha_i / (1 - alpha_i) sum_{j>i} w_j s_j .
 //
-// Everything that a splat's shape needs are the moments of g over pixels: see `add_moments` in
+// The gradient of a splat's shape needs only the moments of g over pixels; see `add_moments` in
 // gradient.cc.
 #pragma once
 
@@ -16,12 +16,12 @@
 namespace splatax {
 
 constexpr int MOMENTS = 6;           // g, g x, g y, g x^2, g x y, g y^2, about the tile's centre
-constexpr int PULL = MOMENTS + GROUP;  // where sums of |dL/dx|, |dL/dy| are, if asked for
+constexpr int PULL = MOMENTS + GROUP;  // offset of the sums of |dL/dx|, |dL/dy|, if requested
 constexpr int PARTIALS = PULL + 2;     // floats for a pair: the moments, dL/d channels, and those
 
-// The partials of a pair: its sums, with the moments moved from the tile's centre to the splat's mean,
-// which is at (-dx, -dy) of it. Number by number, because vectors cannot be read from fresh scalars
-// at once, nor the other way round.
+// Partials of a pair: its sums, with the moments moved from the tile's centre to the splat's mean, which is
+// at (-dx, -dy) from the centre. The code uses scalars only: a vector load from freshly stored scalars
+// stalls, and so does the reverse.
 SPLATAX_INLINE void write_partials(const float* sums, float dx, float dy, float* partials) {
   const float g = sums[0], gx = sums[1] + dx * g, gy = sums[2] + dy * g;
   partials[0] = g, partials[1] = gx, partials[2] = gy;
@@ -38,7 +38,7 @@ struct TileGradient {
   alignas(64) float d_sums[C][BLOCKS][LANES];
   alignas(64) float d_alpha[BLOCKS][LANES];
 
-  // For each pair: writes its partials, and sets its flag, if any pixel of the tile sees the splat.
+  // Writes the partials of each pair, and sets its flag, if the splat is drawn at any pixel of the tile.
   void accumulate(const Tile& tile, float (*partials)[PARTIALS], uint8_t* flags) {
     uint32_t live = live_blocks(transmittance);
     each_chunk<C>(tile, live, [&](const Chunk& chunk, const uint64_t* touching, int first) {
@@ -61,7 +61,7 @@ struct TileGradient {
   }
 
  private:
-  // Sums over some blocks for one splat; returns which blocks still have pixels that are not done.
+  // Sums over some blocks for one splat; returns the blocks that still have unfinished pixels.
   uint32_t accumulate_splat(const Chunk& chunk, int i, uint32_t blocks, uint32_t live, const Tile& tile,
                             float* sums) {
     const PixelCentres centres;
@@ -83,7 +83,7 @@ struct TileGradient {
         total[MOMENTS + c] = multiply_add(step.weight, d, total[MOMENTS + c]);
       }
       const Lanes own = step.weight * value, still_behind = load(behind[b]) - own;
-      // Where alpha is clamped it does not depend on the splat.
+      // A clamped alpha does not depend on the splat.
       const Mask flexible = step.drawn & (step.raw <= broadcast(MAX_ALPHA));
       const Lanes odds = step.alpha * reciprocal(broadcast(1) - step.alpha);
       const Lanes g = or_zero(flexible, multiply_subtract_from(odds, still_behind, own));

@@ -7,7 +7,7 @@ namespace splatax {
 
 constexpr int MAX_COEFFICIENTS = 25;  // degree 4
 
-// A number and its derivatives by x, y and z: arithmetic on these is forward differentiation.
+// Number with its derivatives with respect to x, y and z, for forward-mode differentiation.
 struct Dual {
   Lanes value, d[3];
 };
@@ -27,7 +27,7 @@ SPLATAX_INLINE Dual operator*(const Dual& a, const Dual& b) {
   return product;
 }
 
-// The basis functions at a unit direction, band by band; T is Lanes, or Dual for gradients too.
+// Computes the basis functions at a unit direction, band by band; T is Lanes, or Dual for gradients too.
 template <class T>
 SPLATAX_INLINE void harmonics(const T& x, const T& y, const T& z, int coefficients, T basis[MAX_COEFFICIENTS]) {
   basis[0] = 0.0f * x + 0.28209479177387814f;

@@ -1,5 +1,5 @@
-// Stable sorting by counting, with a thread for each range of what is to be sorted: first each counts
-// what it will put into which bucket, then each puts it there.
+// Stable counting sort with a thread for each range of the input: each thread counts its items per bucket,
+// then moves them there.
 #pragma once
 
 #include <cstddef>
@@ -15,10 +15,11 @@ class Histogram {
     counts_.assign(static_cast<size_t>(ranges) * buckets, 0);
   }
 
-  // Of a range: a count for each bucket; after `place`, where the next of them goes.
+  // Counts of a range for each bucket; after `place`, the positions of their next items.
   int32_t* of(int range) { return counts_.data() + static_cast<size_t>(range) * buckets_; }
 
-  // Bucket after bucket, and range after range in each. Places of range 0 are where buckets begin.
+  // Assigns positions bucket by bucket, and range by range within a bucket. Those of range 0 are the
+  // beginnings of the buckets.
   void place() {
     int32_t total = 0;
     for (int bucket = 0; bucket < buckets_; ++bucket) {

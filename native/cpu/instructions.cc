@@ -1,4 +1,4 @@
-// Which of the libraries the machine can run. Only the baseline library has this.
+// Tells which of the libraries the machine can run. Only the baseline library has this function.
 
 extern "C" __attribute__((visibility("default"))) const char* splatax_best_instructions() {
 #if defined(__x86_64__)

@@ -14,7 +14,7 @@
 
 namespace splatax {
 
-// Vectors that are passed to a function in memory cost more than the function.
+// Passing vectors to a function through memory would cost more than the function itself.
 #define SPLATAX_INLINE inline __attribute__((always_inline))
 
 constexpr int LANES = 16;
@@ -47,7 +47,7 @@ SPLATAX_INLINE uint32_t bits(Mask a) { return a.m; }
 SPLATAX_INLINE Lanes where(Mask mask, Lanes a, Lanes b) { return {_mm512_mask_mov_ps(b.v, mask.m, a.v)}; }
 SPLATAX_INLINE Lanes or_zero(Mask mask, Lanes a) { return {_mm512_maskz_mov_ps(mask.m, a.v)}; }
 
-// 1 / x to float32 rounding, give or take one bit: an estimate and a step of Newton.
+// 1 / x to within one bit of float32 rounding: an estimate and a Newton step.
 SPLATAX_INLINE Lanes reciprocal(Lanes x) {
   const Lanes estimate{_mm512_rcp14_ps(x.v)};
   return estimate * multiply_subtract_from(x, estimate, broadcast(2));
@@ -88,7 +88,7 @@ SPLATAX_INLINE Result each_part(Operation operation) {
   each_part<Mask>([&](Mask& result, int k) __attribute__((always_inline)) { result.m[k] = expression; })
 
 SPLATAX_INLINE Lanes broadcast(float x) { return SPLATAX_LANES(x - Floats{}); }
-// Vector by vector: copied whole, they go through memory in pieces of another size, and wait for it.
+// Copies vector by vector: a copy of the whole goes through memory in pieces of another size, and stalls.
 SPLATAX_INLINE Lanes load(const float* from) {
   Lanes result;
 #pragma GCC unroll 4
@@ -142,10 +142,10 @@ SPLATAX_INLINE uint32_t bits(Mask a) {
 
 SPLATAX_INLINE Lanes reciprocal(Lanes x) { return SPLATAX_LANES(1.0f / x.v[k]); }
 
-// Adding 1.5 * 2^23 leaves no bits for a fraction. For |x| < 2^22.
+// Rounds to an integer for |x| < 2^22: the sum with 1.5 * 2^23 has no bits for a fraction.
 SPLATAX_INLINE Lanes round(Lanes x) { return SPLATAX_LANES((x.v[k] + 12582912.0f) - 12582912.0f); }
 
-// Adds to the exponent; under 2^-126 the result is not exact, but still small.
+// Adds to the exponent; below 2^-126 the result is not exact, but still small.
 SPLATAX_INLINE Lanes times_power_of_two(Lanes x, Lanes integer) {
   integer = max(integer, broadcast(-126));
   return SPLATAX_LANES(reinterpret_cast<Floats>(reinterpret_cast<Ints>(x.v[k]) +
@@ -166,8 +166,8 @@ SPLATAX_INLINE Mask finite(Lanes a) { return absolute(a) < broadcast(__builtin_i
 
 SPLATAX_INLINE bool any(Mask mask) { return bits(mask) != 0; }
 
-// 2^x for x in [-100, 100], to 2e-7: a polynomial for 2^f with f in [-1/2, 1/2], with the least
-// largest relative error (Remez), times 2^integer.
+// 2^x for x in [-100, 100], to 2e-7: a minimax polynomial in relative error (Remez) for 2^f with f in
+// [-1/2, 1/2], times 2^integer.
 SPLATAX_INLINE Lanes exp2(Lanes x) {
   const Lanes integer = round(x), f = x - integer;
   Lanes p = broadcast(1.3240888e-03f);

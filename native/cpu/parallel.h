@@ -1,4 +1,4 @@
-// Loops over XLA's own threads.
+// Parallel loops on XLA's own threads.
 #pragma once
 
 #include <algorithm>
@@ -13,7 +13,7 @@ namespace splatax {
 
 class Workers {
  public:
-  // As many threads as the pool has, or `limit` of them if that is not zero.
+  // Uses all threads of the pool, or `limit` of them if that is not zero.
   Workers(xla::ffi::ThreadPool pool, int64_t limit) : pool_(pool) {
     const int64_t threads = std::max<int64_t>(pool.num_threads(), 1);
     count_ = static_cast<int>(limit > 0 ? std::min(limit, threads) : threads);
@@ -21,8 +21,8 @@ class Workers {
 
   int count() const { return count_; }
 
-  // Calls task(i) for i in [0, n), each once, in any order, and waits for all. The calling thread
-  // works too, and does all the work if the pool is busy: so this cannot deadlock.
+  // Calls task(i) once for each i in [0, n), in any order, and waits for all. The calling thread works
+  // too, and does all the work if the pool is busy, so this cannot deadlock.
   void each(int n, const std::function<void(int)>& task) {
     if (n <= 1 || count_ == 1) {
       for (int i = 0; i < n; ++i) task(i);
@@ -53,7 +53,7 @@ class Workers {
   struct Job {
     std::atomic<int> next{0}, done{0};
     int size = 0;
-    const std::function<void(int)>* task = nullptr;  // gone once done == size
+    const std::function<void(int)>* task = nullptr;  // dangling once done == size
 
     void work() {
       for (int i; (i = next.fetch_add(1)) < size;) {
@@ -62,7 +62,7 @@ class Workers {
       }
     }
 
-    // What is left takes microseconds. Who yields at once on a busy machine waits for milliseconds.
+    // The remaining work takes microseconds. Yielding at once on a busy machine would wait milliseconds.
     void wait() const {
       for (int tries = 0; done.load(std::memory_order_acquire) < size; ++tries) {
         if (tries < SPINS) {

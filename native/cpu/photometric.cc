@@ -36,7 +36,7 @@ struct Kernel {
   }
 };
 
-// Of a row: how many floats, and how many with room for whole vectors.
+// Number of floats in a row, and the number padded to whole vectors.
 struct Line {
   int length, padded;
 
@@ -65,7 +65,7 @@ SPLATAX_INLINE float sum_of(Lanes values, int count) {
   return total;
 }
 
-// Rows that have been blurred down, with room to be blurred across.
+// Rows blurred vertically, padded for the horizontal blur.
 template <int Planes>
 class Rows {
  public:
@@ -93,7 +93,7 @@ struct RowSums {
   double absolute = 0, similarity = 0;
 };
 
-// Similarity of a row, and its derivatives by the moments there.
+// Similarity of a row, and its derivatives with respect to the moments.
 RowSums similarity_row(const Pictures& pictures, const Kernel& kernel, const Line& line, int row,
                        Rows<MOMENTS>& down, float* derivatives) {
   const int first = std::max(row - RADIUS, 0), last = std::min(row + RADIUS, pictures.height - 1);

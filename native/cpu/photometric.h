@@ -1,4 +1,4 @@
-// The loss between an image and a photo, (1 - w) L1 + w (1 - SSIM), and its gradient in one go.
+// Loss between an image and a photo, (1 - w) L1 + w (1 - SSIM), computed together with its gradient.
 #pragma once
 
 #include "parallel.h"
@@ -11,11 +11,11 @@ struct Pictures {
   int height, width, channels;
 };
 
-// As `Photometric` in splatax/losses.py. Returns the loss; `gradient` is dL / d image.
+// Computes the loss of `Photometric` in splatax/losses.py, and returns it; `gradient` is dL / d image.
 float photometric(const Pictures& pictures, float ssim_weight, float* gradient, float* scratch,
                   Workers& workers);
 
-// Floats that `photometric` wants as scratch.
+// Number of floats that `photometric` needs as scratch memory.
 size_t photometric_scratch(const Pictures& pictures);
 
 }  // namespace splatax

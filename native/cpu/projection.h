@@ -14,15 +14,15 @@ struct Gaussians {
   int count, coefficients;
 };
 
-// The numbers of a camera; gradients for them have the same form.
+// Numbers of a camera; their gradients have the same layout.
 enum CameraField { FX, FY, CX, CY, ROTATION, TRANSLATION = ROTATION + 9, POSITION = TRANSLATION + 3,
                    CAMERA_FIELDS = POSITION + 3 };
 
 struct View {
   const float* camera;  // [CAMERA_FIELDS]; rotation row by row
   int width, height;
-  float variance;    // of the low-pass, pixels^2
-  bool fades;        // whether the low-pass multiplies opacity by a factor,
+  float variance;    // variance of the low-pass filter, pixels^2
+  bool fades;        // true if the low-pass filter multiplies opacity by a factor,
   float least_fade;  // which is at least this
 };
 
@@ -31,10 +31,10 @@ struct Projected {
   float *means2d, *sqrt_conics, *depths, *extents, *colors, *opacities;
 };
 
-// dL / d of those that have one.
+// dL / d of the fields that have a gradient.
 struct ProjectedCotangents {
   const float *means2d, *sqrt_conics, *depths, *colors, *opacities;
-  const float* extents;  // of the forward pass: zero where culled
+  const float* extents;  // extents of the forward pass: zero where culled
 };
 
 struct GaussianGradients {

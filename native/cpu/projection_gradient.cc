@@ -19,11 +19,11 @@ struct CameraGradient {
   SPLATAX_INLINE void add(int field, const Vector& part) {
     add(field, part.x), add(field + 1, part.y), add(field + 2, part.z);
   }
-  // To the rotation: part a b^T.
+  // Adds a b^T to the gradient of the rotation.
   SPLATAX_INLINE void add_outer(const Vector& a, const Vector& b) {
     add(ROTATION, a.x * b), add(ROTATION + 3, a.y * b), add(ROTATION + 6, a.z * b);
   }
-  // Adds the sums to a total, and starts again from zero.
+  // Adds the sums to a total, and resets them to zero.
   void move_to(double total[CAMERA_FIELDS]) {
     for (int field = 0; field < CAMERA_FIELDS; ++field) {
       alignas(64) float each[LANES];
@@ -34,7 +34,7 @@ struct CameraGradient {
   }
 };
 
-// Slope x / z, clipped, in the Jacobian: what reaches the point, and through the bounds the camera.
+// Gradient of the clipped slope x / z in the Jacobian, to the point and, through the bounds, to the camera.
 //
 // Returns dL/d (x / z); the bounds are -(c + margin) / f and (size - c + margin) / f.
 SPLATAX_INLINE Lanes clip_gradient(const Clipped& slope, Lanes d_slope, Lanes focal, int focal_field,
@@ -45,7 +45,7 @@ SPLATAX_INLINE Lanes clip_gradient(const Clipped& slope, Lanes d_slope, Lanes fo
   return d_slope - d_outside;
 }
 
-// What the whole backward pass works on.
+// Inputs and outputs of the backward pass.
 struct Pass {
   const Gaussians& gaussians;
   const View& view;
@@ -53,7 +53,7 @@ struct Pass {
   const GaussianGradients& gradients;
 };
 
-// Sixteen Gaussians of it.
+// Backward pass of sixteen Gaussians.
 class PullBack {
  public:
   PullBack(const Pass& pass, int first, int count)
@@ -130,7 +130,7 @@ class PullBack {
     const int numbers = 3 * pass.gaussians.coefficients;
     const size_t begin = row * numbers;
     Columns<3 * MAX_COEFFICIENTS> sh(pass.gaussians.sh + begin, numbers, count);  // then its gradient
-    // Where a colour is clamped to zero, it does not depend on anything.
+    // A colour that is clamped to zero has a zero gradient.
     Vector value{broadcast(0.5f), broadcast(0.5f), broadcast(0.5f)};
     for (int k = 0; k < pass.gaussians.coefficients; ++k) value = value + basis[k].value * sh.vector(3 * k);
     d_color = {or_zero(seen & (zero < value.x), d_color.x), or_zero(seen & (zero < value.y), d_color.y),
@@ -185,7 +185,7 @@ class PullBack {
 
 void project_gradient(const Gaussians& gaussians, const View& view, const ProjectedCotangents& cotangents,
                       const GaussianGradients& gradients, Workers& workers) {
-  // Parts are as large whatever the number of threads, and so is their sum.
+  // The size of parts does not depend on the number of threads, so their sum does not either.
   std::vector<double> sums(static_cast<size_t>(parts_of(gaussians.count)) * CAMERA_FIELDS, 0.0);
   workers.each(parts_of(gaussians.count), [&](int part) {
     const Pass pass{gaussians, view, cotangents, gradients};

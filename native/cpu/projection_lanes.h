@@ -1,5 +1,5 @@
-// What the projection and its gradient have in common: the chain from a Gaussian to its ellipse, for
-// sixteen Gaussians at once.
+// Shared part of the projection and its gradient: the chain from a Gaussian to its ellipse, for sixteen
+// Gaussians at once.
 #pragma once
 
 #include <cmath>
@@ -11,7 +11,7 @@
 
 namespace splatax {
 
-// As in splatax/projection.py.
+// Same constants as in splatax/projection.py.
 constexpr float NEAR = 0.01f;
 constexpr float MAX_SLOPE = 1e6f;
 constexpr float MAX_LOG_SCALE = 40;
@@ -19,7 +19,7 @@ constexpr float FRUSTUM_MARGIN = 0.3f;
 constexpr float LOG2_E = 1.442695041f;
 constexpr int PART = 4096;  // Gaussians that one thread works on at a time
 
-// x clipped to [low, high], and where it was inside.
+// x clipped to [low, high], and a mask of the lanes where it was inside.
 struct Clipped {
   Lanes value;
   Mask below, above;
@@ -28,15 +28,15 @@ struct Clipped {
       : value(min(max(x, low), high)), below(x < low), above(high < x) {}
 };
 
-// A slope in the Jacobian, clipped to the image and a margin around it.
+// Slope in the Jacobian, clipped to the image and a margin around it.
 SPLATAX_INLINE Clipped clipped(Lanes slope, Lanes centre, Lanes focal, int size) {
   const Lanes margin = broadcast(FRUSTUM_MARGIN * 0.5f * size);
   return {slope, -(centre + margin) / focal, (broadcast(size) - centre + margin) / focal};
 }
 
-// What the image and the gradient have in common, for sixteen Gaussians.
+// Values that the image and the gradient share, for sixteen Gaussians.
 struct Projection {
-  Matrix rotation;            // of the camera, columns
+  Matrix rotation;            // columns of the camera's rotation
   Vector mean, point;         // in the world, and in camera axes; (0, 0, 1) where not in front
   Lanes inverse_z, fx, fy, cx, cy, slope_x, slope_y;
   Vector jacobian[2];         // rows of J
@@ -61,7 +61,7 @@ struct Projection {
     const Lanes widest = MAX_SLOPE * seen.z;
     const Mask in_front = (broadcast(NEAR) < seen.z) & (seen.z < broadcast(INFINITY)) & (absolute(seen.x) < widest) &
                           (absolute(seen.y) < widest);
-    mean = or_zero(in_front, mean);  // what is culled must not send a NaN back
+    mean = or_zero(in_front, mean);  // culled rows must not propagate NaN
     point = {or_zero(in_front, seen.x), or_zero(in_front, seen.y), where(in_front, seen.z, broadcast(1))};
     inverse_z = broadcast(1) / point.z;
 
@@ -143,7 +143,7 @@ struct Direction {
   }
 };
 
-// Calls body(first, count) for sixteen Gaussians after the other of a part.
+// Calls body(first, count) for each group of sixteen Gaussians of a part.
 template <class Body>
 void each_lanes(int part, int total, const Body& body) {
   const int end = std::min((part + 1) * PART, total);

@@ -1,4 +1,4 @@
-// The two operations of the library: the image, and its gradient.
+// Operations of the rasterizer: the image, and its gradient.
 #pragma once
 
 #include "binning.h"
@@ -13,7 +13,7 @@ struct Image {
 };
 
 struct Cotangents {
-  const float* sums;     // the image itself, which the gradient starts from
+  const float* sums;     // the image, from which the gradient starts
   const float* alpha;
   const float* d_sums;   // dL / d of it
   const float* d_alpha;
@@ -25,13 +25,13 @@ struct Gradients {
   float* sqrt_conics;
   float* opacities;
   float* channels;
-  float* pull;  // [count 2]: sums over pixels of |dL / d means2d|; null if nobody asks. Up to GROUP channels
+  float* pull;  // [count 2]: sums over pixels of |dL / d means2d|; null if not requested. Up to GROUP channels
 };
 
-// Memory of a call, kept for the next one.
+// Memory of a call, which is kept for the next one.
 struct Scratch {
-  int32_t ticket = 0;  // of the call of `rasterize` whose splats and lists are in it; 0 for none
-  bool expected = false;  // whether the gradient of that call is yet to come
+  int32_t ticket = 0;  // of the call of `rasterize` whose splats and lists it holds; 0 for none
+  bool expected = false;  // true until the gradient of that call arrives
   Binning binning;
   Buffer<unsigned char> states;
   Buffer<float> partial_sums;
@@ -41,7 +41,7 @@ struct Scratch {
 
 void rasterize(const Input& input, const Image& image, Workers& workers, Scratch& scratch, int64_t max_pairs);
 
-// `binned`: whether the scratch memory is as `rasterize` of the same input has left it.
+// `binned`: true if the scratch memory still holds the lists of `rasterize` for the same input.
 void rasterize_gradient(const Input& input, const Cotangents& cotangents, const Gradients& gradients,
                         Workers& workers, Scratch& scratch, bool binned, int64_t max_pairs);
 

@@ -1,4 +1,4 @@
-// Sums over lanes of several vectors at once, as a transposition that adds on its way.
+// Sums over the lanes of several vectors at once: a transposition with additions in each step.
 #pragma once
 
 #include "columns.h"

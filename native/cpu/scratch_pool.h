@@ -1,4 +1,4 @@
-// Scratch memory that lasts from one call to the next: fresh pages are slow.
+// Scratch memory that is kept from one call to the next, because fresh pages are slow.
 #pragma once
 
 #include <memory>
@@ -9,9 +9,9 @@
 
 namespace splatax {
 
-// Lends scratch memory to calls, one each, and keeps some of it. The lists that the forward call leaves there
-// spare the gradient the binning: a ticket goes with the image, and a gradient that shows the ticket gets that
-// memory back, if no other call has taken it in between. Results do not depend on it.
+// Lends one scratch memory to each call, and keeps some of them. The forward call leaves its lists there,
+// which saves the backward call the binning. The image carries a ticket, and the backward call with this
+// ticket gets the memory back, unless another call has taken it in between. Results do not depend on it.
 class ScratchPool {
  public:
   std::unique_ptr<Scratch> take() {
@@ -20,7 +20,7 @@ class ScratchPool {
     if (free_.empty() || (expected && free_.size() < KEPT)) return std::make_unique<Scratch>();
     return remove(free_.begin());
   }
-  // The memory of a ticket, if it still holds the lists of this input; null otherwise.
+  // Returns the memory of a ticket if it still holds the lists of this input; null otherwise.
   std::unique_ptr<Scratch> take(int32_t ticket, const Input& input) {
     const std::lock_guard<std::mutex> lock(mutex_);
     for (auto it = free_.begin(); it != free_.end(); ++it) {
@@ -50,7 +50,7 @@ class ScratchPool {
 
   std::mutex mutex_;
   int32_t last_ = 0;
-  List free_;  // in the order in which they are to be used again
+  List free_;  // in the order of reuse
 };
 
 inline ScratchPool pool;

@@ -1,4 +1,4 @@
-// The 2D Gaussians of one view, as JAX hands them over and as the kernels want them.
+// 2D Gaussians of one view, in the layouts of JAX and of the kernels.
 #pragma once
 
 #include <cstdint>
@@ -9,13 +9,13 @@ constexpr int TILE = 16;            // pixels a side
 constexpr int BLOCK = 4;            // pixels a side: as many pixels as lanes
 constexpr int BLOCKS_A_SIDE = TILE / BLOCK;
 constexpr int BLOCKS = BLOCKS_A_SIDE * BLOCKS_A_SIDE;
-constexpr int GROUP = 4;            // channels that are blended together
+constexpr int GROUP = 4;            // channels that are blended at a time
 
-// The corner of a block in its tile, pixels.
+// Corner of a block in its tile, pixels.
 constexpr int block_left(int b) { return b % BLOCKS_A_SIDE * BLOCK; }
 constexpr int block_top(int b) { return b / BLOCKS_A_SIDE * BLOCK; }
 
-// As in splatax/splats.py.
+// Same constants as in splatax/splats.py.
 constexpr float MIN_ALPHA = 1.0f / 255;
 constexpr float MAX_ALPHA = 0.99f;
 constexpr float MIN_TRANSMITTANCE = 1e-4f;
@@ -39,9 +39,9 @@ struct Splat {
   float x, y, u, v, w;
   float level;             // log2(opacity)
   float reach;             // t^2 + s^2 beyond which alpha is under 1/255, and a margin for rounding
-  float x_per_y, y_per_x;  // where its ellipse is nearest to a horizontal, a vertical line
+  float x_per_y, y_per_x;  // slopes to the nearest points on horizontal and vertical lines
   float channels[GROUP];
-  int32_t row;             // of the input
+  int32_t row;             // row of the input
   uint16_t first_column, last_column, first_row, last_row;  // tiles that its box covers
 };
 static_assert(sizeof(Splat) == 64, "one cache line");

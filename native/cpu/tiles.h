@@ -1,4 +1,4 @@
-// What the image and its gradient have in common: the walk over rounds, tiles, pixels and channels.
+// Loops over rounds, tiles, pixels and channels, which the image and its gradient share.
 #pragma once
 
 #include "chunk.h"
@@ -6,7 +6,7 @@
 
 namespace splatax {
 
-// Lists the pairs of one round after the other, and calls body(round).
+// Lists the pairs of each round in order, and calls body(round).
 template <class Body>
 void each_round(Binning& binning, Workers& workers, const Body& body) {
   for (size_t number = 0; number < binning.rounds.size(); ++number) {
@@ -15,8 +15,8 @@ void each_round(Binning& binning, Workers& workers, const Body& body) {
   }
 }
 
-// The states of tiles, which last from round to round. With a single round, as almost always, a
-// state lives on the stack of the thread that works on it.
+// States of tiles, which are kept from round to round. If there is a single round, as almost always, a
+// state is on the stack of the thread that works on it.
 template <class State>
 class TileStates {
  public:
@@ -49,7 +49,7 @@ void each_pixel(const Input& input, const Tile& tile, const Visit& visit) {
   }
 }
 
-// Transmittance before the first splat: 1, and negated outside the image, where nothing is ever drawn.
+// Transmittance before the first splat: 1, negated outside the image, where nothing is drawn.
 inline void let_light_through(const Input& input, const Tile& tile, float (*transmittance)[LANES]) {
   for (int b = 0; b < BLOCKS; ++b) std::fill_n(transmittance[b], LANES, -1.0f);
   each_pixel(input, tile, [&](int b, int lane, size_t) { transmittance[b][lane] = 1; });

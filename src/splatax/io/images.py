@@ -41,8 +41,7 @@ _limit: int | None = None
 def limit_memory(limit: int | None) -> None:
     """Sets the number of bytes that decoding one photo may take.
 
-    None is a fixed fraction of the machine's memory. The limit applies to the whole process. Photos that were
-    measured before keep their size.
+    None is a fixed fraction of the machine's memory. The process shares the limit.
     """
     global _limit
     _limit = limit
@@ -155,9 +154,7 @@ def write(path: Path, pixels: UInt8[np.ndarray, "h w 3"]) -> None:
 def opened(
     path: Path, what: str = "photo", way_out: str = "Restore it from the camera."
 ) -> Iterator["Image.Image"]:
-    """Opens a picture of a known format without decoding it.
-
-    Exceptions inside the `with` block become errors about the picture.
+    """Opens a picture of a known format without decoding it. Exceptions inside become errors about it.
 
     Args:
         path: path of the picture.

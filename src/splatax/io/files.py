@@ -41,9 +41,8 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
             os.fsync(file.fileno())
         os.replace(temporary, path)
     except OSError as error:
-        if error.filename is None or str(error.filename) == str(
-            temporary
-        ):  # the system names no file when a write fails
+        # The system names no file when a write fails.
+        if error.errno is not None and str(error.filename) in ("None", str(temporary)):
             error.filename = str(path)
         raise
     finally:

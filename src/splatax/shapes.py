@@ -5,6 +5,7 @@ number in all arrays of a call. Native code checks shapes again.
 """
 
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
 import jax
@@ -14,14 +15,13 @@ COMPUTED_IN = ("float32", "float64")
 LONGEST_SIDE = 1_000_000  # pixels; kernels count tiles in 16 bits
 
 
-def check_arrays(owner: str, arrays: Mapping[str, tuple[Any, str]], **sizes: int) -> dict[str, int]:
+def check_arrays(owner: str, arrays: Mapping[str, tuple[Any, str]]) -> Mapping[str, int]:
     """Checks that arrays have the expected shapes, and one floating-point dtype.
 
     Args:
         owner: owner of the arrays for the message, such as "Gaussians".
         arrays: name -> (array, expected shape). The first array that has a letter in its shape defines
             the number that the letter stands for.
-        sizes: letters whose number is known.
 
     Returns:
         The number of each letter.
@@ -29,14 +29,35 @@ def check_arrays(owner: str, arrays: Mapping[str, tuple[Any, str]], **sizes: int
     Raises:
         ValueError: if an array does not fit. The message names the array, its shape and the expected shape.
     """
-    found = {name: (_shape(owner, name, array), words.split()) for name, (array, words) in arrays.items()}
+    described = tuple(
+        (name, *_described(owner, name, array), words) for name, (array, words) in arrays.items()
+    )
+    return _sizes(owner, described)
+
+
+def check_dtypes(owner: str, arrays: Mapping[str, Any]) -> np.dtype:
+    """Checks that arrays are all float32, or all float64, and returns that dtype.
+
+    Raises:
+        ValueError: if one is of another kind, or two differ.
+    """
+    return _dtype(owner, tuple((name, _described(owner, name, array)[1]) for name, array in arrays.items()))
+
+
+Described = tuple[str, tuple[int, ...], np.dtype | None, str]  # name, shape, dtype, expected shape
+
+
+@lru_cache  # callers check the same shapes again and again: a viewer, an evaluation
+def _sizes(owner: str, described: tuple[Described, ...]) -> Mapping[str, int]:
+    found = {name: (shape, words.split()) for name, shape, _, words in described}
     axes = {len(shape) - len(words) for shape, words in found.values()}
     if axes == {1} and len({shape[0] for shape, _ in found.values()}) == 1:
         raise ValueError(
             f"{owner}: every array has one axis more than it should have, such as {_example(found)}. "
             "This takes one at a time: use jax.vmap for a batch."
         )
-    sizes, bound_by = dict(sizes), {}
+    sizes: dict[str, int] = {}
+    bound_by: dict[str, str] = {}
     for name, (shape, words) in found.items():
         for word in words[: len(shape)]:
             if not word.isdigit() and word not in sizes and len(shape) == len(words):
@@ -45,21 +66,16 @@ def check_arrays(owner: str, arrays: Mapping[str, tuple[Any, str]], **sizes: int
         wanted = tuple(int(word) if word.isdigit() else sizes.get(word, word) for word in words)
         if shape != wanted:
             raise ValueError(_mismatch(owner, name, shape, words, bound_by, sizes))
-    check_dtypes(owner, {name: array for name, (array, _) in arrays.items()})
+    _dtype(owner, tuple((name, dtype) for name, _, dtype, _ in described))
     return sizes
 
 
-def check_dtypes(owner: str, arrays: Mapping[str, Any]) -> np.dtype:
-    """Checks that arrays are all float32, or all float64, and returns that dtype.
-
-    Raises:
-        ValueError: if an array has another dtype, or two dtypes differ.
-    """
+@lru_cache
+def _dtype(owner: str, dtypes: tuple[tuple[str, np.dtype | None], ...]) -> np.dtype:
     first: tuple[str, np.dtype] | None = None
-    for name, array in arrays.items():
-        if isinstance(array, int | float):
-            continue  # a Python number takes the dtype of the other operand
-        dtype = jax.dtypes.canonicalize_dtype(array.dtype)
+    for name, dtype in dtypes:
+        if dtype is None:
+            continue  # a Python number takes the dtype of what it meets
         if dtype.name not in COMPUTED_IN:
             raise ValueError(
                 f"{owner}: {name} is {dtype.name}, and splatax computes in float32 or float64. Convert it: "
@@ -71,7 +87,10 @@ def check_dtypes(owner: str, arrays: Mapping[str, Any]) -> np.dtype:
                 "Give all arrays one dtype."
             )
         first = first or (name, dtype)
-    assert first is not None
+    if first is None:
+        raise ValueError(
+            f"{owner}: all of {', '.join(name for name, _ in dtypes)} are Python numbers, not arrays."
+        )
     return first[1]
 
 
@@ -89,14 +108,15 @@ def check_size(owner: str, width: Any, height: Any) -> None:
             )
 
 
-def _shape(owner: str, name: str, array: Any) -> tuple[int, ...]:
+def _described(owner: str, name: str, array: Any) -> tuple[tuple[int, ...], np.dtype | None]:
+    """Returns the shape of an array, and the dtype that JAX computes in for it; None for a Python number."""
     if isinstance(array, int | float) and not isinstance(array, bool):
-        return ()
+        return (), None
     if not isinstance(array, jax.Array | np.ndarray | np.generic | jax.ShapeDtypeStruct):
         raise ValueError(
             f"{owner}: {name} is {type(array).__name__}, not an array. Convert it: jnp.asarray({name})."
         )
-    return tuple(array.shape)
+    return tuple(array.shape), jax.dtypes.canonicalize_dtype(array.dtype)
 
 
 def _mismatch(

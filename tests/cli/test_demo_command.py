@@ -24,7 +24,8 @@ def test_it_ends_with_a_page_and_where_that_is(short, tmp_path, monkeypatch, cap
     monkeypatch.setattr(demo.Page, "run", lambda self: self.out.touch())
     cli.main(["demo", "--out", str(tmp_path / "out")])
     assert (tmp_path / "out" / "scene.html").exists()
-    assert capsys.readouterr().out.splitlines()[-1].endswith(str(tmp_path / "out" / "scene.html"))
+    page_path = tmp_path / "out" / "scene.html"
+    assert capsys.readouterr().out.splitlines()[-1] == f"Done. Double-click {page_path} to open it."
 
 
 def test_without_a_viewer_it_says_why_there_is_no_page(short, tmp_path, monkeypatch, capsys):

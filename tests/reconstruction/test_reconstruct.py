@@ -247,7 +247,7 @@ def test_photos_of_phones_in_heic_are_read(photos, tmp_path):
 def test_heic_without_its_package_names_the_way_to_it(tmp_path, monkeypatch):
     (tmp_path / "IMG_1.HEIC").write_bytes(b"x")
     monkeypatch.setitem(sys.modules, "pillow_heif", None)
-    with pytest.raises(InputError, match=r"IMG_1.HEIC: .*splatax\[heic\]"):
+    with pytest.raises(InputError, match=r"IMG_1.HEIC: .*pip install '\.\[heic\]' in the checkout"):
         pipeline.photos_in(tmp_path)
 
 

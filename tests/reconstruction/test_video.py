@@ -63,6 +63,7 @@ def test_what_is_no_video(tmp_path, contents):
 
 
 def test_without_the_package_the_way_to_it_is_named(tmp_path, monkeypatch):
+    walk = write_video(tmp_path / "walk.mp4")
     monkeypatch.setitem(__import__("sys").modules, "av", None)
     with pytest.raises(InputError, match=r"pip install '\.\[video\]' in the checkout"):
-        video.pick_frames(write_video(tmp_path / "walk.mp4"), tmp_path / "frames", 5, lambda *far: None)
+        video.pick_frames(walk, tmp_path / "frames", 5, lambda *far: None)

@@ -9,8 +9,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scenes import camera_at, random_gaussians
+from splatax.low_pass import Antialiasing, Dilation
 from splatax.math import quaternions
-from splatax.projection import Antialiasing, Dilation
 from splatax.rendering import project, render
 
 LOW_PASSES = [Dilation(), Antialiasing()]
@@ -115,6 +115,19 @@ def test_colour_depends_on_the_direction_of_view():
     back = project(one_gaussian(sh=sh), camera_at(position=(0, 0, 4.0))).colors[0]
     assert_allclose(front - back, 2 * 0.4886025119029199 * 0.5, rtol=1e-5)
     assert_allclose(front + back, 1.0, rtol=1e-5)
+
+
+def test_a_scene_is_drawn_with_the_filter_that_it_was_trained_with():
+    plain, camera = random_gaussians(n=30), camera_at()
+    light = jax.jit(
+        jax.value_and_grad(lambda g, low_pass=None: jnp.sum(render(g, camera, low_pass=low_pass).rgb)),
+        static_argnames="low_pass",
+    )
+    value, gradient = light(plain, low_pass=Antialiasing())
+    own_value, own_gradient = light(replace(plain, low_pass=Antialiasing()))
+    assert_array_equal(value, own_value)
+    assert_array_equal(gradient.means, own_gradient.means)
+    assert float(value) != float(light(plain)[0])
 
 
 def test_colour_below_zero_is_clamped_and_has_no_gradient():

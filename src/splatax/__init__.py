@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 __version__ = "0.1.0"
 
 HOMES = {  # public name -> module here that defines it
-    "Antialiasing": "projection",
+    "Antialiasing": "low_pass",
     "BLACK": "rendering",
     "Camera": "cameras",
     "Dataset": "dataset",
     "DatasetError": "errors",
-    "Dilation": "projection",
+    "Dilation": "low_pass",
     "FormatError": "errors",
     "Gaussians": "gaussians",
     "InputError": "errors",
@@ -87,9 +87,9 @@ if TYPE_CHECKING:  # the same names, for type checkers and editors; tests/test_i
     from splatax.io.datasets import load_dataset as load_dataset
     from splatax.io.formats import load as load
     from splatax.io.formats import save as save
+    from splatax.low_pass import Antialiasing as Antialiasing
+    from splatax.low_pass import Dilation as Dilation
     from splatax.notebook import view as view
-    from splatax.projection import Antialiasing as Antialiasing
-    from splatax.projection import Dilation as Dilation
     from splatax.rendering import BLACK as BLACK
     from splatax.rendering import WHITE as WHITE
     from splatax.rendering import Renderer as Renderer

@@ -1,14 +1,17 @@
 """Scenes: 3D Gaussians, stored as the unconstrained parameters that are optimized."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from splatax.low_pass import Dilation, LowPass
 from splatax.math import ellipsoids, harmonics
 from splatax.shapes import check_arrays
+
+ARRAYS = ("means", "quats", "log_scales", "opacity_logits", "sh")  # the fields of a scene with a row for each
 
 
 @jax.tree_util.register_dataclass
@@ -25,6 +28,8 @@ class Gaussians:
         log_scales: natural logarithm of the standard deviation along each axis, world units.
         opacity_logits: inverse sigmoid of the opacity.
         sh: spherical harmonic coefficients of colour, k = (degree + 1)^2 per channel.
+        low_pass: filter that the scene was trained with, and is drawn with unless another is asked for.
+            Static under `jit`.
     """
 
     means: Float[Array, "n 3"]
@@ -32,6 +37,7 @@ class Gaussians:
     log_scales: Float[Array, "n 3"]
     opacity_logits: Float[Array, " n"]
     sh: Float[Array, "n k 3"]
+    low_pass: LowPass = field(default=Dilation(), kw_only=True, metadata={"static": True})
 
     def __len__(self) -> int:
         return self.means.shape[0]
@@ -99,5 +105,4 @@ def is_sound(
 
 def broken(gaussians: Gaussians) -> Bool[np.ndarray, " n"]:
     """Returns a mask of the Gaussians that are not sound; see `is_sound`."""
-    fields = (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.opacity_logits, gaussians.sh)
-    return ~np.asarray(jax.vmap(is_sound)(*(jnp.asarray(field) for field in fields)))
+    return ~np.asarray(jax.vmap(is_sound)(*map(jnp.asarray, jax.tree.leaves(gaussians))))

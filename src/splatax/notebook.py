@@ -9,7 +9,6 @@ from jaxtyping import Array, Float
 
 from splatax.dataset import View
 from splatax.gaussians import Gaussians
-from splatax.projection import Dilation, LowPass
 from splatax.rendering import BLACK
 
 
@@ -41,7 +40,6 @@ def view(
     *,
     title: str = "scene",
     background: Float[Array, "3"] | Float[np.ndarray, "3"] = BLACK,
-    low_pass: LowPass = Dilation(),
     height: int = 480,
 ) -> Inline:
     """Shows a scene in a notebook, as the last line of a cell. It stays interactive in the saved notebook.
@@ -51,7 +49,6 @@ def view(
         views: views whose cameras become viewpoints, such as `dataset.views`.
         title: any text.
         background: display-referred RGB behind the scene, in [0, 1].
-        low_pass: filter that the scene was trained with.
         height: height of the iframe, CSS pixels; it is as wide as the notebook.
 
     Raises:
@@ -67,7 +64,6 @@ def view(
         title=title,
         cameras=cameras,
         background=(red, green, blue),
-        low_pass=low_pass,
         name=title,
     )
     return Inline(title, page, height)

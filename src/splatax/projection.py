@@ -6,7 +6,6 @@ W is the camera's rotation and J the Jacobian of the perspective at the mean. Th
 2 x 3 factor J W R S instead of Sigma: see `math.ellipsoids`.
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
@@ -15,6 +14,7 @@ from jaxtyping import Array, Bool, Float
 
 from splatax.cameras import Camera
 from splatax.gaussians import Gaussians, is_sound
+from splatax.low_pass import LowPass
 from splatax.math import ellipsoids, harmonics
 from splatax.splats import MIN_ALPHA, Splats
 
@@ -22,36 +22,6 @@ NEAR = 0.01  # world units of camera z; nearer is culled (as gsplat does)
 MAX_SLOPE = 1e6  # |x / z| beyond which the perspective of a mean overflows; culled
 MAX_LOG_SCALE = 40.0  # e^40 squared still fits float32
 FRUSTUM_MARGIN = 0.3  # of half the image: margin up to which J follows the mean (as in gsplat)
-
-
-@dataclass(frozen=True)
-class Dilation:
-    """Low-pass filter that adds variance and keeps the opacity (authors' code of Kerbl et al. 2023)."""
-
-    variance: float = 0.3  # pixels^2
-
-    def fade(self, sharp: Float[Array, ""], blurred: Float[Array, ""]) -> Float[Array, ""]:
-        """Returns the factor on opacity, from the determinants before and after the variance is added: 1."""
-        return jnp.ones_like(sharp)
-
-
-@dataclass(frozen=True)
-class Antialiasing:
-    """Low-pass filter that adds variance and keeps the total light, so that distant splats do not thicken.
-
-    The 2D Mip filter of Yu et al. 2024, Eq. 9: opacity times sqrt(|Sigma| / |Sigma + v I|).
-    """
-
-    variance: float = 0.3  # pixels^2
-    floor: float = 0.005  # lower bound of the factor, so that its gradient stays finite for flat Gaussians
-
-    def fade(self, sharp: Float[Array, ""], blurred: Float[Array, ""]) -> Float[Array, ""]:
-        """Returns the factor on opacity, from the determinants before and after the variance is added."""
-        return jnp.sqrt(jnp.maximum(sharp / blurred, self.floor**2))
-
-
-LowPass = Dilation | Antialiasing  # widens splats, so that none falls between pixels
-LOW_PASSES: dict[str, LowPass] = {"dilation": Dilation(), "antialiasing": Antialiasing()}
 
 
 class Projected(NamedTuple):
@@ -85,8 +55,7 @@ def project(gaussians: Gaussians, camera: Camera, low_pass: LowPass) -> Splats:
     def one(mean, quat, log_scale, logit, sh):
         return project_one(mean, quat, log_scale, logit, sh, camera, position, low_pass)
 
-    fields = (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.opacity_logits, gaussians.sh)
-    rows = jax.vmap(one)(*fields)
+    rows = jax.vmap(one)(*jax.tree.leaves(gaussians))
     return Splats(
         means2d=rows.mean2d,
         sqrt_conics=rows.sqrt_conic,

@@ -18,7 +18,7 @@ from splatax import splats as views
 from splatax.backends.protocol import Kernels
 from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
-from splatax.projection import Dilation, LowPass
+from splatax.low_pass import LowPass
 from splatax.shapes import check_arrays, check_dtypes
 from splatax.splats import Splats
 from splatax.varying import vary_together
@@ -59,12 +59,13 @@ class Renderer:
 
     Attributes:
         background: RGB seen through what transmittance remains, one colour or one for each pixel. Traced.
-        low_pass: `Dilation(0.3)`, or `Antialiasing(0.3)` for scenes trained so. Static.
+        low_pass: filter, such as `Antialiasing(0.3)`; None for the one that the scene was trained
+            with. Static.
         backend: "auto", the name of a backend, or kernels of your own. Static.
     """
 
     background: BackgroundLike = (0.0, 0.0, 0.0)
-    low_pass: LowPass = field(default=Dilation(), metadata={"static": True})
+    low_pass: LowPass | None = field(default=None, metadata={"static": True})
     backend: str | Kernels = field(default=backends.AUTO, metadata={"static": True})
 
     def __call__(
@@ -83,7 +84,7 @@ def render(
     *,
     background: BackgroundLike = BLACK,
     features: Float[Array, "n f"] | None = None,
-    low_pass: LowPass = Dilation(),
+    low_pass: LowPass | None = None,
     backend: str | Kernels = backends.AUTO,
 ) -> Rendering:
     """Renders a scene. Differentiable in all arrays: scene, camera, background and features.
@@ -93,7 +94,7 @@ def render(
         camera: the view; its width and height are static under `jit`. For several views, use `jax.vmap`.
         background: RGB seen through what transmittance remains, one colour or one for each pixel.
         features: extra channels for each Gaussian, rendered beside colour.
-        low_pass: `Dilation(0.3)`, or `Antialiasing(0.3)` for scenes trained so.
+        low_pass: filter, such as `Antialiasing(0.3)`; None for the one that the scene was trained with.
         backend: "auto", the name of a backend, or kernels of your own.
 
     Raises:
@@ -107,7 +108,7 @@ def project(
     gaussians: Gaussians,
     camera: Camera,
     *,
-    low_pass: LowPass = Dilation(),
+    low_pass: LowPass | None = None,
     backend: str | Kernels = backends.AUTO,
 ) -> Splats:
     """Projects a scene: the first half of `render`. Differentiable in the scene and the camera.
@@ -132,7 +133,7 @@ def project(
     dtype = check_dtypes(
         "Gaussians and Camera", {"means": gaussians.means, "cam_from_world": camera.cam_from_world}
     )
-    return _project(gaussians, camera, low_pass, backends.resolve(backend, dtype))
+    return _project(gaussians, camera, low_pass or gaussians.low_pass, backends.resolve(backend, dtype))
 
 
 @partial(jax.jit, static_argnames=("low_pass", "kernels"))

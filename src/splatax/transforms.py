@@ -1,6 +1,7 @@
 """Similarity transforms of scenes. Transforming Gaussians and cameras alike keeps renderings the same."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -69,7 +70,8 @@ class Similarity:
         turned = np.asarray(gaussians.means, np.float64) @ self.rotation.T
         blocks = harmonics.rotation(self.rotation, gaussians.sh_degree)
         sh = np.einsum("kj,njc->nkc", blocks.astype(np.float32), np.asarray(gaussians.sh), optimize=True)
-        return Gaussians(
+        return replace(
+            gaussians,
             means=jnp.asarray(self.scale * turned + self.translation, gaussians.means.dtype),
             quats=jax.vmap(quaternions.multiply, (None, 0))(turn, gaussians.quats),
             log_scales=jnp.asarray(np.asarray(gaussians.log_scales) + np.float32(np.log(self.scale))),
@@ -99,5 +101,7 @@ def half_turn(gaussians: Gaussians, axis: int) -> Gaussians:
         np.asarray(harmonics.basis(jnp.asarray(d, jnp.float32), degree)) for d in (GENERIC, signs * GENERIC)
     )
     factors = {"means": signs, "quats": np.insert(signs, 0, 1), "sh": np.sign(here * there)[:, None]}
-    turned = {name: jnp.asarray(np.asarray(getattr(gaussians, name)) * f) for name, f in factors.items()}
+    turned: dict[str, Any] = {
+        name: jnp.asarray(np.asarray(getattr(gaussians, name)) * f) for name, f in factors.items()
+    }
     return replace(gaussians, **turned)

@@ -1,5 +1,7 @@
 """`splatax export`: every format from every other, edits, measurements, and refusals."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -14,7 +16,7 @@ from splatax.io import formats
 def model(tmp_path):
     """A splat file of degree 2."""
     path = tmp_path / "model.ply"
-    sx.save(path, random_gaussians(n=50, degree=2), comments=(formats.MIP,))
+    sx.save(path, replace(random_gaussians(n=50, degree=2), low_pass=sx.Antialiasing()))
     return path
 
 
@@ -73,7 +75,8 @@ def test_a_run_is_measured_before_and_after(trained, capture, tmp_path, capsys):
 
 def test_edits_are_made(model, tmp_path, capsys):
     original = sx.load(model)
-    sx.save(tmp_path / "other.ply", random_gaussians(1, n=30, degree=1))
+    other = replace(random_gaussians(1, n=30, degree=1), low_pass=sx.Antialiasing())
+    sx.save(tmp_path / "other.ply", other)
     out = tmp_path / "out.ply"
     export(model, out, "--merge", tmp_path / "other.ply", "--sh-degree", 1)
     assert sx.load(out).sh.shape == (80, 4, 3)

@@ -20,7 +20,7 @@ from scenes import camera_at, random_gaussians, random_splats
 from splatax import backends
 from splatax.backends import cpu
 from splatax.losses import Photometric
-from splatax.projection import Antialiasing, Dilation
+from splatax.low_pass import Antialiasing, Dilation
 from splatax.rendering import Renderer, composite, project, rasterize, render
 
 N, SIZE = 12, (10, 7)

@@ -145,12 +145,16 @@ def test_one_gaussian_is_a_scene(tmp_path, suffix):
     assert_allclose(sx.load(tmp_path / f"scene{suffix}").means, scene(n=1).means, atol=2e-4)
 
 
-def test_the_mark_of_antialiasing_is_kept_where_there_is_a_place(tmp_path, suffix):
-    for lines in ((), (formats.MIP,)):
-        sx.save(tmp_path / f"scene{suffix}", scene(n=3), comments=lines)
-        assert (formats.MIP in formats.comments(tmp_path / f"scene{suffix}")) == (
-            suffix != ".splat" and bool(lines)
-        )
+@pytest.mark.parametrize("low_pass", [sx.Dilation(), sx.Antialiasing()])
+def test_a_scene_is_loaded_with_the_filter_that_it_was_saved_with(tmp_path, suffix, low_pass):
+    path, kept = tmp_path / f"scene{suffix}", formats.FORMATS[suffix].KEEPS_FILTER
+    given = replace(scene(n=3), low_pass=low_pass)
+    if kept or low_pass == sx.Dilation():
+        sx.save(path, given)
+        assert sx.load(path).low_pass == low_pass
+    else:
+        with pytest.warns(UserWarning, match="cannot say that its scene was trained with antialiasing"):
+            sx.save(path, given)
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path, suffix, monkeypatch):

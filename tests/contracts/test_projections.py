@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scenes import camera_at, random_gaussians
 from splatax import backends
 from splatax.backends import cpu
-from splatax.projection import Antialiasing, Dilation
+from splatax.low_pass import Antialiasing, Dilation
 from splatax.rendering import project, render
 
 REFERENCE = backends.kernels("reference").project

@@ -103,6 +103,12 @@ def test_without_cameras_large_and_opaque_ones_matter():
     assert_array_equal(left.means, gaussians.means[:2])
 
 
+def test_scenes_of_different_filters_are_not_merged():
+    plain = random_gaussians(n=5)
+    with pytest.raises(sx.InputError, match="some were trained with antialiasing"):
+        editing.merge([plain, replace(plain, low_pass=sx.Antialiasing())])
+
+
 def test_merged_scenes_have_all_gaussians_and_the_most_harmonics():
     a, b = random_gaussians(n=5, degree=0), random_gaussians(1, n=7, degree=2)
     merged = editing.merge([a, b])

@@ -23,6 +23,11 @@ def test_a_recipe_is_a_value(name):
     assert PRESETS[name].build(steps=700).steps == 700
 
 
+def test_a_trained_scene_knows_its_filter():
+    recipe = sx.Recipe(steps=1, low_pass=sx.Antialiasing())
+    assert sx.fit(capture(), recipe).low_pass == sx.Antialiasing()
+
+
 @pytest.mark.parametrize("name", PRESETS)
 @pytest.mark.parametrize("steps", [600, 2000, 30_000])
 def test_density_control_ends_before_training_does(name, steps):

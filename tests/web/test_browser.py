@@ -1,6 +1,7 @@
 """The page in a browser: it draws what splatax draws, and does what it is told."""
 
 import io
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -41,7 +42,8 @@ def psnr(a, b) -> float:
 )
 def test_cameras_see_what_our_renderer_draws(open_page, tmp_path, viewer, low_pass):
     path, gray = tmp_path / "scene.html", (0.2, 0.3, 0.4)
-    web.save(path, SCENE, title="scene", cameras=CAMERAS, low_pass=low_pass, background=gray)
+    scene = replace(SCENE, low_pass=low_pass)
+    web.save(path, scene, title="scene", cameras=CAMERAS, background=gray)
     tab = open_page(path, SIZE)
     other = {sx.Dilation: sx.Antialiasing(), sx.Antialiasing: sx.Dilation()}[type(low_pass)]
     for index, camera in enumerate(list(CAMERAS.values())[:3]):

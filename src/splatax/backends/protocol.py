@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
-from splatax.projection import LowPass
+from splatax.low_pass import LowPass
 from splatax.splats import Splats
 
 

@@ -121,7 +121,7 @@ def lineup(runs: Sequence[FinishedRun], models: Sequence[Model], view: sx.View, 
                 f"than in {runs[0].folder}. Use the same --background for both."
             )
     images = tuple(
-        picture(model.gaussians, view.camera, sx.Renderer(background, model.low_pass, backend))
+        picture(model.gaussians, view.camera, sx.Renderer(background, backend=backend))
         for model, background in zip(models, backgrounds, strict=True)
     )
     return Lineup(view.name, photo, images, tuple(run.test_psnr[view.name] for run in runs), mask_of(view))

@@ -68,7 +68,7 @@ class Evaluate:
         scores = sx.evaluate(
             model.gaussians,
             views,
-            renderer=sx.Renderer(background, model.low_pass, resolve_backend(self.backend)),
+            renderer=sx.Renderer(background, backend=resolve_backend(self.backend)),
             lpips=perceptual,
         )
         how = protocol(background) | ({"lpips": perceptual.protocol} if perceptual else {})

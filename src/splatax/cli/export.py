@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
@@ -27,7 +27,6 @@ from splatax.cli.output import say
 from splatax.cli.page import is_page, write_page
 from splatax.errors import InputError
 from splatax.io import formats
-from splatax.projection import Antialiasing
 from splatax.transforms import Similarity
 
 Triple = tuple[float, float, float]
@@ -130,10 +129,9 @@ class Export:
 
     def _save(self, model: Model, edited: sx.Gaussians) -> None:
         """Writes a splat file. Prints its size and what is lost."""
-        options = {"version": self.spz_version} if self.spz_version else {}
+        options: dict[str, Any] = {"version": self.spz_version} if self.spz_version else {}
         self.out.parent.mkdir(parents=True, exist_ok=True)
-        mark = formats.mark(isinstance(model.low_pass, Antialiasing))
-        count = sx.save(self.out, edited, comments=(mark,), **options)
+        count = sx.save(self.out, edited, **options)
         before, after = model.path.stat().st_size, self.out.stat().st_size
         share = f"{before / after:.1f} x smaller" if after <= before else f"{after / before:.1f} x larger"
         say(f"{self.out}: {count:,} Gaussians, {after / 1e6:.2f} MB ({share})")
@@ -160,9 +158,7 @@ class Export:
             return None
         cameras = [view.camera for view in dataset.train]
         backend = resolve_backend(self.backend)
-        return editing.visible_weights(
-            gaussians, cameras, sx.Renderer(low_pass=model.low_pass, backend=backend)
-        )
+        return editing.visible_weights(gaussians, cameras, sx.Renderer(backend=backend))
 
     def _place(self, dataset: sx.Dataset | None) -> Similarity | None:
         """Returns the similarity to apply to the scene; None to leave every bit as it is."""
@@ -176,7 +172,7 @@ class Export:
     def _measure(self, model: Model, dataset: sx.Dataset, place: Similarity | None) -> None:
         views = views_of(dataset, "test" if dataset.test else "train", self.scene or Path())
         background = background_of(model.options)
-        renderer = sx.Renderer(background, model.low_pass, resolve_backend(self.backend))
+        renderer = sx.Renderer(background, backend=resolve_backend(self.backend))
         before, after = (
             sx.evaluate(g, v, renderer=renderer)
             for g, v in ((model.gaussians, views), (sx.load(self.out), moved(views, place)))

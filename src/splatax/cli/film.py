@@ -84,7 +84,7 @@ class Film:
                 add(picture)
 
     def _draw(self, model: Model, camera: sx.Camera) -> sx.Rendering:
-        return sx.Renderer(self.background, model.low_pass, self.backend)(model.gaussians, camera)
+        return sx.Renderer(self.background, backend=self.backend)(model.gaussians, camera)
 
     def _limits(self, model: Model, cameras: list[sx.Camera]) -> tuple[float, float] | None:
         width, height = (max(side // 4, 1) for side in (cameras[0].width, cameras[0].height))

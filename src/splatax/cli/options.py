@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -13,8 +13,7 @@ import splatax as sx
 from splatax import backends
 from splatax.cli.output import say
 from splatax.errors import InputError
-from splatax.io import formats
-from splatax.projection import LOW_PASSES, LowPass
+from splatax.low_pass import LOW_PASSES
 from splatax.runs.finished import options_beside
 from splatax.training.appearance import APPEARANCES
 from splatax.training.backgrounds import BACKGROUNDS
@@ -85,7 +84,6 @@ class Model:
     path: Path
     gaussians: sx.Gaussians
     options: dict[str, Any]  # of the run that made it; empty if unknown
-    low_pass: LowPass
 
 
 def read_model(path: Path, low_pass: str | None) -> Model:
@@ -93,7 +91,7 @@ def read_model(path: Path, low_pass: str | None) -> Model:
 
     Args:
         path: of the file or folder.
-        low_pass: name of the filter to use instead of the one that the file names.
+        low_pass: name of the filter to draw with instead of the one that the file names.
 
     Raises:
         InputError: if there is no model, or it cannot be read.
@@ -105,9 +103,9 @@ def read_model(path: Path, low_pass: str | None) -> Model:
             )
         path = path / "scene.ply"
     gaussians = sx.load(path)
-    marked = formats.MIP in formats.comments(path)
-    name = low_pass or ("antialiasing" if marked else "dilation")
-    return Model(path, gaussians, options_beside(path), LOW_PASSES[name])
+    if low_pass:
+        gaussians = replace(gaussians, low_pass=LOW_PASSES[low_pass])
+    return Model(path, gaussians, options_beside(path))
 
 
 def background_of(options: Mapping[str, Any], asked: str | None = None) -> tuple[float, float, float]:

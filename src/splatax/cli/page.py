@@ -84,7 +84,6 @@ def write_page(
         title=title or _name(model.path),
         cameras=cameras,
         background=background_of(model.options, background),
-        low_pass=model.low_pass,
     )
     size = out.stat().st_size / 1e6
     say(f"{out}: {len(model.gaussians):,} Gaussians, {len(cameras)} cameras, {size:.1f} MB")

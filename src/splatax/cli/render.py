@@ -93,7 +93,7 @@ class Render:
             return
         if dataset is None or scene is None:
             raise InputError(f"{self.model}: needs cameras: give the capture folder, or use --path.")
-        renderer = sx.Renderer(background, model.low_pass, resolve_backend(self.backend))
+        renderer = sx.Renderer(background, backend=resolve_backend(self.backend))
         views = views_of(dataset, self.split, scene)
         self._refuse_to_replace(film=False)
         files = files_of(views, self.out)

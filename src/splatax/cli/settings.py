@@ -20,7 +20,7 @@ from splatax.cli.options import (
     resolve_backend,
 )
 from splatax.errors import InputError
-from splatax.projection import LOW_PASSES
+from splatax.low_pass import LOW_PASSES
 from splatax.runs.budget import parse_bytes, parse_seconds
 from splatax.runs.records import typed_fields
 from splatax.training.appearance import APPEARANCES

@@ -62,7 +62,7 @@ class View:
         scene = self.scene or scene_of(model)
         views = load_scene(scene, None, model).views if scene else ()
         background = background_of(model.options, self.background)
-        look = Look(renderer=sx.Renderer(background, model.low_pass, resolve_backend(self.backend)))
+        look = Look(renderer=sx.Renderer(background, backend=resolve_backend(self.backend)))
         means = np.asarray(model.gaussians.means, np.float64)
         start = views[0].camera if views else trajectories.overview(means, WINDOW)
         with (

@@ -19,7 +19,16 @@ LEAST_AGREEMENT = 0.2  # least length of the mean of the vectors to the tops of 
 
 
 def merge(scenes: Sequence[Gaussians]) -> Gaussians:
-    """Merges scenes that share one coordinate frame. Missing higher harmonics become zeros."""
+    """Merges scenes that share one coordinate frame. Missing higher harmonics become zeros.
+
+    Raises:
+        InputError: if the scenes were trained with different low-pass filters: none draws all of them right.
+    """
+    if len({scene.low_pass for scene in scenes}) > 1:
+        raise InputError(
+            "The scenes cannot be merged: some were trained with antialiasing, and others without. Train "
+            "them alike."
+        )
     most = max(scene.sh.shape[1] for scene in scenes)
     padded = [
         replace(scene, sh=jnp.pad(scene.sh, ((0, 0), (0, most - scene.sh.shape[1]), (0, 0))))

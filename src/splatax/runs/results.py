@@ -1,7 +1,7 @@
 """The files that a run leaves: scene.ply, metrics.json, config.json, and whatever pages are made of it."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,6 @@ from splatax.gaussians import Gaussians
 from splatax.io import formats
 from splatax.io.datasets import colmap_writing
 from splatax.io.files import explained, write_whole
-from splatax.projection import Antialiasing
 from splatax.runs.checkpoints import Checkpoints, files
 from splatax.runs.history import Evaluation, History, Picture
 from splatax.runs.machine import device, peak_memory, versions
@@ -68,7 +67,9 @@ class Results:
     @cached_property
     def gaussians(self) -> Gaussians:
         """The scene, without empty slots."""
-        return jax.tree.map(lambda leaf: jnp.array(leaf[: self.last.count]), self.last.train.gaussians)
+        state = self.last
+        gaussians = jax.tree.map(lambda leaf: jnp.array(leaf[: state.count]), state.train.gaussians)
+        return replace(gaussians, low_pass=self.recipe.low_pass)
 
     @property
     def refines_cameras(self) -> bool:
@@ -84,8 +85,7 @@ class Results:
         Returns:
             Scores of the held-out views; None if there are none.
         """
-        mark = formats.mark(isinstance(self.recipe.low_pass, Antialiasing))
-        formats.save(self.out / "scene.ply", self.gaussians, comments=(mark,))
+        formats.save(self.out / "scene.ply", self.gaussians)
         if self.refines_cameras:
             self._write_cameras()
         comparisons = [self._compare(view) for view in self.dataset.test or self.dataset.train]

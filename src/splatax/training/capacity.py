@@ -49,8 +49,7 @@ def without_broken(gaussians: Gaussians) -> tuple[Gaussians, Int[Array, ""]]:
     Returns:
         The scene, and the number of Gaussians that were replaced.
     """
-    fields = (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.opacity_logits, gaussians.sh)
-    good = jax.vmap(is_sound)(*fields)
+    good = jax.vmap(is_sound)(*jax.tree.leaves(gaussians))
     cleared = jax.tree.map(
         lambda leaf: jnp.where(good.reshape(-1, *[1] * (leaf.ndim - 1)), leaf, 0), gaussians
     )

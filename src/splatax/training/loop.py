@@ -12,6 +12,7 @@ from splatax import backends
 from splatax.dataset import Dataset
 from splatax.errors import DatasetError
 from splatax.gaussians import Gaussians
+from splatax.low_pass import LowPass
 from splatax.training.capacity import bucket_for, pad, without_broken
 from splatax.training.feed import batches
 from splatax.training.initialize import require_visible
@@ -49,6 +50,7 @@ class Progress:
     loss: Float[Array, ""]
     count: int
     _state: TrainState
+    _low_pass: LowPass
 
     @property
     def state(self) -> RunState:
@@ -66,7 +68,7 @@ class Progress:
 
         Take it before the next step, which donates the arrays that it is copied from.
         """
-        return jax.tree.map(lambda leaf: jnp.array(leaf[: self.count]), self._state.gaussians)
+        return jax.tree.map(lambda leaf: jnp.array(leaf[: self.count]), self.padded)
 
     @property
     def padded(self) -> Gaussians:
@@ -75,7 +77,7 @@ class Progress:
         Render this to display a scene that grows: its shape, and with it the compiled program, changes
         rarely.
         """
-        return self._state.gaussians
+        return replace(self._state.gaussians, low_pass=self._low_pass)
 
 
 def fit(dataset: Dataset, recipe: Recipe) -> Gaussians:
@@ -187,7 +189,7 @@ def _steps(
                 density_state=refined.state,
                 faults=state.faults._replace(gaussians=state.faults.gaussians + broken),
             )
-        yield Progress(step, total, loss, count, state)
+        yield Progress(step, total, loss, count, state, recipe.low_pass)
         planned = pace(step)
         if planned is not None:
             total = planned

@@ -1,6 +1,6 @@
 """The optimizer of the scene: an update rule of optax, a learning rate for each field, and noise."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Bool, Float, Int
 
-from splatax.gaussians import Gaussians
+from splatax.gaussians import ARRAYS, Gaussians
 from splatax.math import harmonics, quaternions
 from splatax.training.noise import NoNoise
 from splatax.training.protocols import Lineage, Noise, UpdateRule
@@ -128,7 +128,7 @@ def inherit(
     transformation = rule()
     map_params = partial(optax.tree_utils.tree_map_params, transformation, is_leaf=is_masked)
     inherited = map_params(moved, opt_state)
-    flags: list[Any] = [field.name in lineage.restarted for field in fields(Gaussians)]
+    flags: list[Any] = [name in lineage.restarted for name in ARRAYS]
     anew = map_params(starts_anew, inherited, Gaussians(*flags), transform_non_params=lambda _: False)
     return jax.tree.map(jnp.where, anew, transformation.init(gaussians), inherited)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from splatax.backends.protocol import Kernels
 from splatax.dataset import Dataset
 from splatax.losses import Photometric
-from splatax.projection import Dilation, LowPass
+from splatax.low_pass import Dilation, LowPass
 from splatax.rendering import Renderer
 from splatax.training.appearance import NoAppearance
 from splatax.training.backgrounds import Random, Solid

@@ -16,8 +16,9 @@ from splatax.errors import FormatError, InputError
 from splatax.gaussians import Gaussians
 from splatax.io import formats
 from splatax.io.files import write_whole
+from splatax.low_pass import Antialiasing, Dilation, LowPass
 from splatax.math import morton
-from splatax.projection import NEAR, Antialiasing, Dilation, LowPass
+from splatax.projection import NEAR
 from splatax.web.staging import stage
 
 MAX_SH_DEGREE = 3  # highest degree that the viewer draws
@@ -51,7 +52,6 @@ def document(
     title: str,
     cameras: Mapping[str, Camera] | None = None,
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    low_pass: LowPass = Dilation(),
     name: str = "page",
 ) -> str:
     """Returns the HTML of a page that shows a scene.
@@ -63,7 +63,6 @@ def document(
         title: any text.
         cameras: cameras of the capture by name: the viewpoints, and the keyframes of the flight.
         background: display-referred RGB behind the scene, in [0, 1].
-        low_pass: filter that the scene was trained with.
         name: name of the page in error messages.
 
     Raises:
@@ -84,7 +83,7 @@ def document(
     staged = stage(gaussians, cameras)
     page = {
         "background": list(background),
-        "lowPass": _variances(low_pass),
+        "lowPass": _variances(gaussians.low_pass),
         "near": NEAR * staged.place.scale,
         "cameras": staged.poses,
         "start": staged.start,

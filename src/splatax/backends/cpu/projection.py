@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from splatax.backends.cpu.library import Build
 from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
-from splatax.projection import Antialiasing, LowPass
+from splatax.low_pass import Antialiasing, LowPass
 from splatax.splats import Splats
 
 FIELDS = ("means", "quats", "log_scales", "opacity_logits", "sh")

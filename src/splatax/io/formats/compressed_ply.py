@@ -34,6 +34,7 @@ LOSES = (
     "Positions, scales and colours are rounded to 8 to 11 bits within each chunk of 256, "
     "higher SH to steps of 1/32 within -4 to 4; the order changes."
 )
+KEEPS_FILTER = True
 TOLERANCE = Tolerance(means=1e-3, degrees=0.28, log_scales=3e-3, opacities=3e-3, dc=0.02, sh=0.04)
 
 

@@ -31,6 +31,7 @@ KINDS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 
 MAX_SH_DEGREE = 3
 LOSES = "Only rounding: opacities and scales are stored as such, not as logits and logarithms."
+KEEPS_FILTER = True
 TOLERANCE = Tolerance(degrees=1e-3, log_scales=1e-5, opacities=1e-6)
 
 

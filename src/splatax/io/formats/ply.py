@@ -28,6 +28,7 @@ ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
 
 MAX_SH_DEGREE = 4
 LOSES = "Nothing: every number is kept, bit by bit."
+KEEPS_FILTER = True
 TOLERANCE = Tolerance()
 
 

@@ -42,6 +42,7 @@ LOSES = (
     "Positions are rounded to 16 bits, rotations, opacities, scales and colours to 8; higher SH is taken "
     "from a palette of at most 65,536 entries; the order changes."
 )
+KEEPS_FILTER = True
 TOLERANCE = Tolerance(means=1e-4, degrees=1.1, log_scales=0.02, opacities=3e-3, dc=0.03, sh=0.05)
 
 

@@ -47,6 +47,7 @@ LOSES = (
     "Positions are rounded to 24 bits, opacities, colours and scales to 8 bits, rotations to 10; higher SH "
     "to 5 bits (degree 1) and 4 bits, clipped to -1 to 1; log scales are clipped to -10 to 5.9."
 )
+KEEPS_FILTER = True
 TOLERANCE = Tolerance(means=1.1e-4, degrees=0.28, log_scales=0.032, opacities=3e-3, dc=0.014, sh=0.07)
 
 

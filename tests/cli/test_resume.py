@@ -306,13 +306,13 @@ class Process:
     """The command line in a process of its own, in a group of its own."""
 
     def __init__(self, environment, *arguments, cpus=None):
+        bound = f"import os; os.sched_setaffinity(0, {cpus}); " if cpus else ""
         self.popen = subprocess.Popen(
-            [sys.executable, "-c", "from splatax.cli import main; main()", *map(str, arguments)],
+            [sys.executable, "-c", f"{bound}from splatax.cli import main; main()", *map(str, arguments)],
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
             env=environment,
-            preexec_fn=(lambda: os.sched_setaffinity(0, cpus)) if cpus else None,
         )
         self.output = ""
 

@@ -12,7 +12,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scenes import camera_at, random_gaussians
 from splatax.rendering import render
 from splatax.training.capacity import bucket_for, pad
-from splatax.training.density.mcmc import MAX_COPIES, ByFactor, ByStep, Mcmc, in_proportion, relocated
+from splatax.training.density.growth import ByFactor, ByStep
+from splatax.training.density.mcmc import MAX_COPIES, Mcmc, in_proportion, relocated
 from splatax.training.noise import Langevin, NoNoise
 from splatax.training.priors import NoPrior, Sparsity
 
@@ -158,7 +159,7 @@ def many_faint(n=40_000, opacity=0.001):
 def test_noise_has_no_mean_and_the_square_of_the_covariance():
     gaussians = many_faint()
     extent, rate, strength = 2.0, 1e-3, 1e4
-    shaken = Langevin(strength)(gaussians, jnp.float32(rate), jnp.float32(extent), KEY)
+    shaken = Langevin(strength)(gaussians, jnp.float32([rate]), jnp.float32(extent), KEY)
     shift = np.asarray(shaken.means - gaussians.means, np.float64)
     gate = 1 / (1 + math.exp(100 * (0.001 - 0.005)))
     factor = strength * rate * gate * np.asarray(gaussians.covariances[0], np.float64) / extent**2
@@ -170,7 +171,7 @@ def test_noise_has_no_mean_and_the_square_of_the_covariance():
 
 def test_noise_is_for_the_faint_alone_and_leaves_empty_slots():
     gaussians = pad(many_faint(n=2, opacity=0.2), 4)
-    shaken = Langevin(1e9)(gaussians, jnp.float32(1e-3), jnp.float32(1.0), KEY)
+    shaken = Langevin(1e9)(gaussians, jnp.float32([1e-3]), jnp.float32(1.0), KEY)
     assert_allclose(shaken.means[:2], gaussians.means[:2], atol=0.01)  # the gate is at 3e-9
     assert_array_equal(shaken.means[2:], gaussians.means[2:])
 
@@ -179,7 +180,7 @@ def test_noise_grows_with_the_world():
     small, k = many_faint(n=100), 10.0
     large = replace(small, means=small.means * k, log_scales=small.log_scales + math.log(k))
     shifts = [
-        np.asarray(Langevin()(g, jnp.float32(1e-4 * size), jnp.float32(size), KEY).means - g.means)
+        np.asarray(Langevin()(g, jnp.float32([1e-4 * size]), jnp.float32(size), KEY).means - g.means)
         for g, size in ((small, 1.0), (large, k))
     ]
     assert_allclose(shifts[1], k * shifts[0], rtol=1e-3, atol=1e-4)
@@ -187,7 +188,7 @@ def test_noise_grows_with_the_world():
 
 def test_no_noise_is_no_noise():
     gaussians = many_faint(n=3)
-    assert NoNoise()(gaussians, jnp.float32(1), jnp.float32(1), KEY) is gaussians
+    assert NoNoise()(gaussians, jnp.float32([1]), jnp.float32(1), KEY) is gaussians
 
 
 # --- priors ---

@@ -94,7 +94,7 @@ def test_a_rule_trains_through_density_control(name):
 def test_weight_decay_leaves_empty_slots_empty():
     gaussians = pad(random_gaussians(n=3), 5)
     rule = partial(optax.adamw, 1.0, weight_decay=0.1)
-    rates = LearningRates().at(jnp.float32(0), jnp.float32(1), gaussians.sh.shape[1])
+    rates = LearningRates().at(jnp.float32(0), jnp.float32([1]), gaussians.sh.shape[1])
     gradients = jax.tree.map(jnp.zeros_like, gaussians)
     moved, _ = update(gaussians, gradients, rule().init(gaussians), rates, rule)
     assert np.all(np.isneginf(moved.opacity_logits[3:]))
@@ -104,7 +104,7 @@ def test_weight_decay_leaves_empty_slots_empty():
 def test_one_step_of_adam_is_as_long_as_the_learning_rate():
     """The first step of Adam is the sign of the gradient, whatever its size."""
     gaussians = random_gaussians(n=3)
-    rates = LearningRates().at(jnp.float32(0), jnp.float32(2), gaussians.sh.shape[1])
+    rates = LearningRates().at(jnp.float32(0), jnp.float32([2]), gaussians.sh.shape[1])
     gradients = jax.tree.map(lambda leaf: jnp.full_like(leaf, -1e-7), gaussians)
     moved, _ = update(gaussians, gradients, Adam()().init(gaussians), rates, Adam())
     np.testing.assert_allclose(moved.means - gaussians.means, 2 * 1.6e-4, rtol=2e-3)  # float32 near 1

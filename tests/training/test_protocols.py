@@ -53,11 +53,19 @@ class SmallHarmonics:
 
 
 @dataclass(frozen=True)
+class Arm:
+    length: float = 0.5
+
+    def __call__(self, depths, extent):
+        return jnp.full_like(depths, self.length)
+
+
+@dataclass(frozen=True)
 class Shake:
     """Moves all centres, and remembers nothing."""
 
     def __call__(self, gaussians, rate, extent, key):
-        shift = rate * jax.random.normal(key, gaussians.means.shape)
+        shift = rate[:, None] * jax.random.normal(key, gaussians.means.shape)
         return replace(gaussians, means=gaussians.means + shift)
 
 
@@ -154,13 +162,14 @@ PARTS = {
     "background": (protocols.Background, Grey()),
     "resolution": (protocols.ResolutionSchedule, HalfSizeAtEvenSteps()),
     "rule": (protocols.UpdateRule, RmsProp()),
+    "reach": (protocols.Reach, Arm()),
     "noise": (protocols.Noise, Shake()),
 }
 RECIPE = sx.Recipe(steps=8, sh=ShSchedule(1, 2))
 
 
 def with_part(recipe, name, part):
-    if name in ("rule", "noise"):
+    if name in ("rule", "reach", "noise"):
         return replace(recipe, optimizer=replace(recipe.optimizer, **{name: part}))
     return replace(recipe, **{name: part})
 

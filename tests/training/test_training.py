@@ -193,22 +193,22 @@ def test_random_start_trains_without_points():
 
 def test_rate_of_means_falls_log_linearly_with_the_extent_in_it():
     rates = LearningRates()
-    at = [float(rates.at(jnp.float32(p), jnp.float32(5.0), 4).means[0, 0]) for p in (0, 0.5, 1)]
+    at = [float(rates.at(jnp.float32(p), jnp.float32([5.0]), 4).means[0, 0]) for p in (0, 0.5, 1)]
     assert_allclose(at, [5 * 1.6e-4, 5 * 1.6e-5, 5 * 1.6e-6], rtol=1e-5)
 
 
 def test_higher_bands_learn_twenty_times_slower():
-    sh = LearningRates().at(jnp.float32(0), jnp.float32(1), 4).sh[0, :, 0]
+    sh = LearningRates().at(jnp.float32(0), jnp.float32([1]), 4).sh[0, :, 0]
     assert_allclose(sh, [2.5e-3] + [1.25e-4] * 3, rtol=1e-6)
 
 
 def test_what_settles_keeps_its_rate_until_then_and_ends_at_a_share_of_it():
     rates = LearningRates(settled=0.01, settling_from=0.8)
-    at = [rates.at(jnp.float32(p), jnp.float32(1.0), 4) for p in (0, 0.8, 0.9, 1)]
+    at = [rates.at(jnp.float32(p), jnp.float32([1.0]), 4) for p in (0, 0.8, 0.9, 1)]
     assert_allclose([float(r.opacity_logits[0]) for r in at], [0.05, 0.05, 0.005, 0.0005], rtol=1e-4)
     for field in ("quats", "log_scales", "sh"):
         assert_allclose(getattr(at[3], field), 0.01 * getattr(at[0], field), rtol=1e-4)
-    usual = LearningRates().at(jnp.float32(1), jnp.float32(1.0), 4)
+    usual = LearningRates().at(jnp.float32(1), jnp.float32([1.0]), 4)
     assert_allclose(at[3].means, usual.means)
     assert_array_equal(usual.quats, at[0].quats)  # the authors' do not settle
 

@@ -18,7 +18,7 @@ class NoNoise:
     """Adds no noise."""
 
     def __call__(
-        self, gaussians: Gaussians, rate: Float[Array, ""], extent: Float[Array, ""], key: PRNGKeyArray
+        self, gaussians: Gaussians, rate: Float[Array, " m"], extent: Float[Array, ""], key: PRNGKeyArray
     ) -> Gaussians:
         """Returns the scene unchanged."""
         return gaussians
@@ -37,13 +37,13 @@ class Langevin:
     strength: float = 5e5
 
     def __call__(
-        self, gaussians: Gaussians, rate: Float[Array, ""], extent: Float[Array, ""], key: PRNGKeyArray
+        self, gaussians: Gaussians, rate: Float[Array, " m"], extent: Float[Array, ""], key: PRNGKeyArray
     ) -> Gaussians:
         """Returns the scene with noise in its means.
 
         Args:
             gaussians: the scene.
-            rate: learning rate of the means, world units per step.
+            rate: learning rate of the means, world units per step: one, or one for each Gaussian.
             extent: of the scene, world units.
             key: of this step.
         """
@@ -51,7 +51,7 @@ class Langevin:
         gate = jnp.where(gaussians.opacity_logits > -jnp.inf, gate, 0)
         noise = jax.random.normal(key, gaussians.means.shape) * gate[:, None]
         shift = jax.vmap(_by_covariance)(gaussians.quats, gaussians.scales / extent, noise)
-        return replace(gaussians, means=gaussians.means + self.strength * rate * shift)
+        return replace(gaussians, means=gaussians.means + self.strength * rate[:, None] * shift)
 
 
 def _by_covariance(quat: Float[Array, "4"], scale: Float[Array, "3"], v: Float[Array, "3"]):

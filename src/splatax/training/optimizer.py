@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 from splatax.gaussians import ARRAYS, Gaussians
 from splatax.math import harmonics, quaternions
 from splatax.training.noise import NoNoise
-from splatax.training.protocols import Lineage, Noise, UpdateRule
+from splatax.training.protocols import Lineage, Noise, Reach, UpdateRule
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,8 @@ class LearningRates:
     the Gaussians settle where they fit all photos, and not the last few.
     """
 
-    means: float = 1.6e-4  # times the scene's extent, at the start
-    means_final: float = 1.6e-6  # times the scene's extent, at the end; log-linear between
+    means: float = 1.6e-4  # times the reach, by default the scene's extent, at the start
+    means_final: float = 1.6e-6  # times the reach, at the end; log-linear between
     sh_dc: float = 2.5e-3  # band 0 of the spherical harmonics
     sh_rest: float = 2.5e-3 / 20  # the other bands
     opacity_logits: float = 0.05
@@ -47,24 +47,49 @@ class LearningRates:
     settled: float = 1.0  # final rate of all fields but the means, as a fraction of the rate above
     settling_from: float = 0.85  # fraction of the run after which these rates fall, log-linearly
 
-    def at(self, progress: Float[Array, ""], extent: Float[Array, ""], coefficients: int) -> Gaussians:
-        """Returns the learning rates in the shape of a scene of one Gaussian.
+    def at(self, progress: Float[Array, ""], reach: Float[Array, " m"], coefficients: int) -> Gaussians:
+        """Returns the learning rates in the shape of a scene of one Gaussian, those of means also of all.
 
         Args:
             progress: fraction of the run that is done, 0 to 1.
-            extent: of the scene, world units.
+            reach: length that the rates of the means are a fraction of: one, or one for each Gaussian.
             coefficients: number of spherical harmonics.
         """
-        means = self.means * (self.means_final / self.means) ** progress * extent
+        means = self.means * (self.means_final / self.means) ** progress * reach
         fall = self.settled ** jnp.clip((progress - self.settling_from) / (1 - self.settling_from), 0, 1)
         sh = jnp.full((1, coefficients, 1), self.sh_rest).at[:, 0].set(self.sh_dc)
         return Gaussians(
-            jnp.full((1, 1), means),
+            means[:, None],
             jnp.full((1, 1), self.quats * fall),
             jnp.full((1, 1), self.log_scales * fall),
             jnp.full(1, self.opacity_logits * fall),
             sh * fall,
         )
+
+
+@dataclass(frozen=True)
+class SceneExtent:
+    """Steps of the means are fractions of the scene's extent, for all Gaussians alike."""
+
+    def __call__(self, depths: Float[Array, " n"], extent: Float[Array, ""]) -> Float[Array, " 1"]:
+        """Returns the extent."""
+        return extent[None]
+
+
+@dataclass(frozen=True)
+class ViewDepth:
+    """Steps of the means are fractions of the depth in the step's view, so that pictures change alike.
+
+    A step is then as many pixels long for a distant Gaussian as for a near one, whatever the scene's extent.
+    """
+
+    factor: float = 0.4
+    nearest: float = 0.05  # of the scene's extent: smaller depths count as this one
+    farthest: float = 100.0  # of the scene's extent: larger depths count as this one
+
+    def __call__(self, depths: Float[Array, " n"], extent: Float[Array, ""]) -> Float[Array, " n"]:
+        """Returns `factor` times the depths."""
+        return self.factor * jnp.clip(depths, self.nearest * extent, self.farthest * extent)
 
 
 @dataclass(frozen=True)
@@ -75,11 +100,13 @@ class Optimizer:
         rule: builds a transformation of optax whose updates are for a learning rate of 1, such as `Adam()`
             or `functools.partial(optax.rmsprop, 1.0)`.
         rates: learning rates of the fields.
+        reach: length that the learning rates of the means are fractions of.
         noise: added to the scene after each step.
     """
 
     rule: UpdateRule = Adam()
     rates: LearningRates = LearningRates()
+    reach: Reach = SceneExtent()
     noise: Noise = NoNoise()
 
 

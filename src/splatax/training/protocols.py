@@ -137,15 +137,30 @@ class Noise(Hashable, Protocol):
     """Adds noise to the scene after each step."""
 
     def __call__(
-        self, gaussians: Gaussians, rate: Float[Array, ""], extent: Float[Array, ""], key: PRNGKeyArray
+        self, gaussians: Gaussians, rate: Float[Array, " m"], extent: Float[Array, ""], key: PRNGKeyArray
     ) -> Gaussians:
         """Returns the scene with noise added. Runs under `jit`.
 
         Args:
             gaussians: the scene.
-            rate: learning rate of the means, world units per step; 0 if the step is discarded.
+            rate: learning rate of the means, world units per step: one, or one for each Gaussian; 0 if the
+                step is discarded.
             extent: of the scene, world units.
             key: of this step.
+        """
+        ...
+
+
+@runtime_checkable
+class Reach(Hashable, Protocol):
+    """Chooses the length that the learning rate of the means is a fraction of."""
+
+    def __call__(self, depths: Float[Array, " n"], extent: Float[Array, ""]) -> Float[Array, " m"]:
+        """Returns one length, or one for each Gaussian, world units. Runs under `jit`.
+
+        Args:
+            depths: of the Gaussians in the step's view, world units of camera z.
+            extent: of the scene, world units.
         """
         ...
 

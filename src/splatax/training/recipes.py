@@ -12,10 +12,10 @@ from splatax.rendering import Renderer
 from splatax.training.appearance import NoAppearance
 from splatax.training.backgrounds import Random, Solid
 from splatax.training.camera_refinement import FixedCameras
-from splatax.training.density import ByStep, Classic, Mcmc
+from splatax.training.density import ByStep, Classic, Mcmc, Splitting
 from splatax.training.initialize import FromPoints, InFrusta
 from splatax.training.noise import Langevin
-from splatax.training.optimizer import LearningRates, Optimizer
+from splatax.training.optimizer import LearningRates, Optimizer, ViewDepth
 from splatax.training.priors import NoPrior, Sparsity
 from splatax.training.protocols import (
     Appearance,
@@ -114,10 +114,9 @@ def default(steps: int = 30_000, max_gaussians: int = 1_000_000) -> Recipe:
         initialization=FromPoints(opacity=0.5, scale=0.1),
         prior=Sparsity(),
         optimizer=Optimizer(
-            rates=replace(rates_for(steps), settled=0.05, settling_from=GROWN),
-            noise=Langevin(1.25e5),  # times the raised rate: at 2,000 steps, three times the authors' noise
+            rates=replace(rates_for(steps), settled=0.05, settling_from=GROWN), reach=ViewDepth()
         ),
-        density=Mcmc(
+        density=Splitting(
             every=min(max(steps // 40, 10), 100),
             start=steps // 20,
             until=int(steps * GROWN),

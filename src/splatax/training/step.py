@@ -81,13 +81,14 @@ def _train_step(
     gradients = jax.tree.map(lambda leaf: jnp.where(good, leaf, 0), d.gaussians)
     gradients = optimizer.without_locked_bands(gradients, state.step, sh_every)
     progress = state.step / state.total
-    rates = learning_rates.at(progress, state.extent, gradients.sh.shape[1])
+    reach = recipe.optimizer.reach(splats.depths, state.extent)
+    rates = learning_rates.at(progress, reach, gradients.sh.shape[1])
     rates = jax.tree.map(lambda leaf: jnp.where(good, leaf, 0), rates)
     gaussians, opt_state = optimizer.update(
         state.gaussians, gradients, state.opt_state, rates, recipe.optimizer.rule
     )
     gaussians = lax.optimization_barrier(gaussians)
-    gaussians = recipe.optimizer.noise(gaussians, rates.means[0, 0], state.extent, noise_key)
+    gaussians = recipe.optimizer.noise(gaussians, rates.means[:, 0], state.extent, noise_key)
     total = state.total.astype(jnp.float32)
     learned = (
         recipe.density.observe(state.density_state, splats, d.splats),

@@ -20,6 +20,7 @@ from splatax.gaussians import Gaussians
 from splatax.math import ellipsoids
 from splatax.splats import Splats
 from splatax.training.capacity import bucket_for, with_empty_slots
+from splatax.training.density.pulls import pulls
 from splatax.training.protocols import DensityUpdate, Lineage
 
 
@@ -60,13 +61,10 @@ class Classic:
 
     def observe(self, state: Observed, splats: Splats, d_splats: Splats) -> Observed:
         """Adds one view to the statistics."""
-        visible = jnp.any(splats.extents > 0, axis=1)
-        half = jnp.array([splats.width / 2, splats.height / 2], splats.means2d.dtype)
-        gradient = d_splats.means2d if d_splats.pull is None else d_splats.pull
-        pull = jnp.linalg.norm(gradient * half[None, :], axis=1)
+        pull, visible = pulls(splats, d_splats)
         screen = jnp.max(splats.extents, axis=1) / max(splats.width, splats.height)
         return Observed(
-            state.pull + jnp.where(visible, pull, 0),
+            state.pull + pull,
             state.views + visible.astype(state.views.dtype),
             jnp.maximum(state.screen, screen),
         )

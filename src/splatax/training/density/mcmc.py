@@ -16,32 +16,10 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from splatax.gaussians import Gaussians
 from splatax.splats import Splats
 from splatax.training.capacity import bucket_for, with_empty_slots
+from splatax.training.density.growth import ByFactor, Growth
 from splatax.training.protocols import DensityUpdate, Lineage
 
 MAX_COPIES = 51  # by which one Gaussian is replaced in a refinement (the authors' limit)
-
-
-@dataclass(frozen=True)
-class ByFactor:
-    """Multiplies the number of Gaussians by `factor` at each refinement (as the authors do)."""
-
-    factor: float = 1.05
-
-    def after(self, count: int, step: int, every: int, max_gaussians: int) -> int:
-        """Returns the number of Gaussians after a refinement."""
-        return min(int(self.factor * count), max_gaussians)
-
-
-@dataclass(frozen=True)
-class ByStep:
-    """Multiplies the number of Gaussians by equal factors, so that it reaches the maximum at step `full`."""
-
-    full: int  # step at which the maximum is reached
-
-    def after(self, count: int, step: int, every: int, max_gaussians: int) -> int:
-        """Returns the number of Gaussians after a refinement."""
-        refinements = max((self.full - step) // every, 0) + 1  # left, including this one
-        return round(count * (max_gaussians / count) ** (1 / refinements))
 
 
 @dataclass(frozen=True)
@@ -51,7 +29,7 @@ class Mcmc:
     every: int = 100  # steps between refinements
     start: int = 500  # no refinement up to this step
     until: int = 25_000  # no refinement from this step on
-    growth: ByFactor | ByStep = ByFactor()
+    growth: Growth = ByFactor()
     min_opacity: float = 0.005  # Gaussians of at most this opacity are dead, and relocated
     max_gaussians: int = 1_000_000
 

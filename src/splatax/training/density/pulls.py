@@ -1,0 +1,23 @@
+"""The pull on a Gaussian: how strongly pixels want its splat to be elsewhere, a mark of missing detail."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from splatax.splats import Splats
+
+
+def pulls(splats: Splats, d_splats: Splats) -> tuple[Float[Array, " n"], Bool[Array, " n"]]:
+    """Returns the pull on each splat of a view, and which splats are visible.
+
+    The pull is |dL/d means2d|, with the image running from -1 to 1. Where the splats have `pull`, gradients
+    are added up over pixels by their absolute values (AbsGS, Ye et al. 2024), so that opposite ones do not
+    cancel out.
+
+    Args:
+        splats: the 2D Gaussians of the view.
+        d_splats: gradient of the loss with respect to them.
+    """
+    visible = jnp.any(splats.extents > 0, axis=1)
+    half = jnp.array([splats.width / 2, splats.height / 2], splats.means2d.dtype)
+    gradient = d_splats.means2d if d_splats.pull is None else d_splats.pull
+    return jnp.where(visible, jnp.linalg.norm(gradient * half[None, :], axis=1), 0), visible

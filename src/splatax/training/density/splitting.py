@@ -1,0 +1,140 @@
+"""Relocation and growth by splitting: new Gaussians go where pixels pull hardest.
+
+A copy that lies exactly on its parent gets the gradients of its parent, so the two stay together. Here the
+parent is split along its longest axis instead (Improved-GS, Deng et al. 2025, arXiv 2508.12313), and a parent
+is chosen with a probability that grows with the pull on it, not with its opacity.
+"""
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+
+from splatax.gaussians import Gaussians
+from splatax.math import ellipsoids
+from splatax.splats import Splats
+from splatax.training.capacity import bucket_for, with_empty_slots
+from splatax.training.density.growth import ByFactor, Growth
+from splatax.training.density.pulls import pulls
+from splatax.training.protocols import DensityUpdate, Lineage
+
+
+class Observed(NamedTuple):
+    """Sums over the views since the last refinement."""
+
+    pull: Float[Array, " n"]
+    views: Float[Array, " n"]  # number of views in which the Gaussian was visible
+
+
+@dataclass(frozen=True)
+class Halves:
+    """The two children of a Gaussian that is split along its longest axis.
+
+    Together they cover about what their parent covers; the values are chosen by experiment (docs/recipes.md).
+    """
+
+    distance: float = 1.0  # of each child from the parent's centre, standard deviations of that axis
+    along: float = 0.665  # factor on the scale of that axis
+    across: float = 0.95  # factor on the two other scales
+    opacity: float = 0.75  # factor
+
+
+@dataclass(frozen=True)
+class Splitting:
+    """Moves dead Gaussians to where detail is missing, and grows the scene there, by splitting."""
+
+    every: int = 100  # steps between refinements
+    start: int = 500  # no refinement up to this step
+    until: int = 25_000  # no refinement from this step on
+    growth: Growth = ByFactor()
+    min_opacity: float = 0.005  # Gaussians of at most this opacity are dead, and relocated
+    focus: float = 3.0  # exponent of the pull in the probability of being a parent
+    halves: Halves = Halves()
+    max_gaussians: int = 1_000_000
+
+    def init(self, capacity: int) -> Observed:
+        """Returns sums of no view."""
+        return Observed(jnp.zeros(capacity), jnp.zeros(capacity))
+
+    def watch(self, splats: Splats) -> Splats:
+        """Adds `pull` to the splats."""
+        return replace(splats, pull=jnp.zeros_like(splats.means2d))
+
+    def observe(self, state: Observed, splats: Splats, d_splats: Splats) -> Observed:
+        """Adds one view to the sums."""
+        pull, visible = pulls(splats, d_splats)
+        return Observed(state.pull + pull, state.views + visible.astype(state.views.dtype))
+
+    def due(self, step: int) -> bool:
+        """Returns whether the scene is refined after this many steps."""
+        return self.start < step < self.until and step % self.every == 0
+
+    def refine(
+        self, state: Observed, gaussians: Gaussians, count: int, step: int, extent: float, key: PRNGKeyArray
+    ) -> DensityUpdate:
+        """Relocates the dead Gaussians and adds new ones; see `DensityStrategy.refine`.
+
+        A parent is split once, so a refinement at most doubles the number of Gaussians. Dead Gaussians for
+        which there is no parent stay where they are.
+        """
+        dead = np.asarray(gaussians.opacities[:count]) <= self.min_opacity
+        pull, views = (np.asarray(leaf[:count], np.float64) for leaf in state)
+        weights = np.where(dead, 0, (pull / np.maximum(views, 1)) ** self.focus)
+        grown = max(self.growth.after(count, step, self.every, self.max_gaussians), count)
+        rows = np.concatenate([np.flatnonzero(dead), np.arange(count, grown)])  # to be filled
+        parents = without_replacement(weights, len(rows), key)
+        rows = rows[: len(parents)]
+        count = max(count, int(rows.max(initial=-1)) + 1)
+
+        capacity = bucket_for(count, len(gaussians), self.max_gaussians)
+        parent = np.arange(capacity)
+        parent[count:] = 0
+        parent[rows] = parents
+        side = np.zeros(capacity, np.float32)  # of the parent's centre, for a child
+        side[rows], side[parents] = 1, -1
+        lineage = Lineage(jnp.asarray(parent), jnp.asarray((side != 0) | (np.arange(capacity) >= count)))
+        split = _split(gaussians, lineage.parent, jnp.asarray(side), jnp.int32(count), self.halves)
+        return DensityUpdate(split, count, lineage, self.init(capacity))
+
+
+def without_replacement(
+    weights: Float[np.ndarray, " n"], draws: int, key: PRNGKeyArray
+) -> Int[np.ndarray, " m"]:
+    """Draws different indices, one after the other in proportion to the weights of those that are left.
+
+    The largest of log w + Gumbel noise are such draws (Efraimidis and Spirakis 2006). Indices of zero weight
+    are never drawn, so there may be fewer than `draws`.
+    """
+    possible = np.flatnonzero(weights)
+    noise = np.random.default_rng(np.asarray(jax.random.key_data(key))).gumbel(size=len(possible))
+    order = np.argsort(-(np.log(weights[possible]) + noise), kind="stable")
+    return possible[order[:draws]]
+
+
+@partial(jax.jit, static_argnames="halves")
+def _split(
+    gaussians: Gaussians,
+    parent: Int[Array, " m"],
+    side: Float[Array, " m"],
+    count: Int[Array, ""],
+    halves: Halves,
+) -> Gaussians:
+    """Returns copies of the parents; a row whose side is 1 or -1 is a child on that side of its parent."""
+    rows = jax.tree.map(lambda leaf: leaf[parent], gaussians)
+    is_child: Bool[Array, " m"] = side != 0
+    longest = jax.nn.one_hot(jnp.argmax(rows.log_scales, axis=1), 3)
+    axes = jax.vmap(ellipsoids.covariance_factor)(rows.quats, rows.scales)
+    offsets = halves.distance * side[:, None] * jnp.einsum("nij,nj->ni", axes, longest)
+    factors = jnp.where(longest > 0, halves.along, halves.across)
+    opacity = jnp.clip(halves.opacity * rows.opacities, 1e-6, 1 - 1e-6)
+    children = replace(
+        rows,
+        means=rows.means + offsets,
+        log_scales=rows.log_scales + jnp.where(is_child[:, None], jnp.log(factors), 0),
+        opacity_logits=jnp.where(is_child, jnp.log(opacity / (1 - opacity)), rows.opacity_logits),
+    )
+    return with_empty_slots(children, count)

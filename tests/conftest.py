@@ -1,6 +1,7 @@
 """Every test runs with shapes checked, and with JAX refusing silent promotions."""
 
 import atexit
+import itertools
 import os
 import shutil
 import tempfile
@@ -35,6 +36,20 @@ if "SPLATAX_NATIVE" in os.environ:  # another build of the native library: `make
     library.FOLDER = Path(os.environ["SPLATAX_NATIVE"])
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
+
+
+MOST_MAPPINGS = 20_000  # of memory, per process; Linux allows 65,530
+MAPPINGS = Path("/proc/self/maps")
+_tests = itertools.count(1)
+
+
+@pytest.fixture(autouse=True)
+def few_programs():
+    """Frees compiled programs before there are too many: each has several mappings of memory, and XLA's
+    compiler aborts the process when Linux gives it no more."""
+    yield
+    if next(_tests) % 20 == 0 and MAPPINGS.exists() and MAPPINGS.read_bytes().count(b"\n") > MOST_MAPPINGS:
+        jax.clear_caches()
 
 
 @pytest.fixture

@@ -102,7 +102,7 @@ def adam(scene: Scene) -> Operation:
     chosen = Recipe().optimizer
     carried = [gaussians, chosen.rule().init(gaussians)]
     gradients = jax.tree.map(lambda leaf: jnp.full_like(leaf, 1e-8), gaussians)
-    rates = chosen.rates.at(jnp.float32(0), jnp.float32(1), gaussians.sh.shape[1])
+    rates = chosen.rates.at(jnp.float32(0), jnp.ones(1), gaussians.sh.shape[1])
     update = jax.jit(partial(optimizer.update, rule=chosen.rule), donate_argnums=(0, 2))
 
     def operation() -> Any:

@@ -17,6 +17,7 @@ import warnings
 import zipfile
 from contextlib import contextmanager
 
+import foreign
 import jax
 import numpy as np
 import pytest
@@ -237,6 +238,26 @@ def test_captures(kind, tmp_path):
         check(sx.load_dataset(capture))
 
     fuzz(kind, attempt)
+
+
+def test_captures_of_other_programs(tmp_path):
+    """All formats in turn, so that together they take the time of one kind of file."""
+    captures = []
+    for writer, files in foreign.FILES.items():
+        writer(folder := tmp_path / writer.__name__)
+        captures.append((folder, {folder / file: (folder / file).read_bytes() for file in files}))
+
+    def attempt(rng):
+        folder, good = rng.choice(captures)
+        path = rng.choice(list(good))
+        for other, contents in good.items():
+            other.write_bytes(contents)
+        as_json = path.suffix == ".json" and rng.random() < 0.8
+        damage = damaged_json(rng, good[path]) if as_json else damaged(rng, good[path], list(good.values()))
+        path.write_bytes(damage)
+        check(sx.load_dataset(folder))
+
+    fuzz("importers", attempt)
 
 
 def test_zip_files_of_captures(tmp_path):

@@ -12,7 +12,20 @@ from splatax.dataset import Dataset
 from splatax.errors import DatasetError, shown
 from splatax.io import images
 from splatax.io.damage import blamed_on
-from splatax.io.datasets import archives, colmap, llff, transforms
+from splatax.io.datasets import (
+    archives,
+    bundler,
+    colmap,
+    llff,
+    metashape,
+    nvm,
+    openmvg,
+    opensfm,
+    polycam,
+    realitycapture,
+    record3d,
+    transforms,
+)
 from splatax.io.datasets.assembly import dataset_of
 from splatax.io.datasets.photos import counted
 
@@ -20,6 +33,14 @@ DATASETS: dict[str, ModuleType] = {  # the first that recognises a folder reads 
     "COLMAP": colmap,
     "nerfstudio, instant-ngp, Blender": transforms,
     "LLFF": llff,
+    "Polycam": polycam,
+    "Record3D": record3d,
+    "OpenSfM, OpenDroneMap": opensfm,
+    "OpenMVG": openmvg,
+    "Metashape": metashape,
+    "RealityCapture": realitycapture,
+    "Bundler": bundler,
+    "VisualSFM": nvm,
 }
 
 

@@ -137,19 +137,21 @@ def near_origin(capture: Capture, present: list[Frame]) -> tuple[Capture, list[F
     if not np.isfinite(poses).all():
         return capture, present, ()  # refused later, with the photo's name
     eyes = -np.einsum("nji,nj->ni", poses[:, :, :3], poses[:, :, 3])
-    shift = np.round(np.median(eyes, axis=0))
-    spread = np.abs(eyes - shift).max()
-    if np.abs(shift).max() <= FAR * max(spread, 1e-3):
+    middle = np.median(eyes, axis=0)
+    spread = np.abs(eyes - middle).max()
+    if not 0 < FAR * spread < np.abs(middle).max():
         return capture, present, ()
+    digits = max(0, 1 - int(np.floor(np.log10(spread))))
+    shift = np.round(middle, digits)
     moved = [
         replace(frame, cam_from_world=np.column_stack([pose[:, :3], -pose[:, :3] @ (eye - shift)]))
         for frame, pose, eye in zip(present, poses, eyes, strict=True)
     ]
     positions = capture.points.positions.astype(np.float64) - shift
     capture = replace(capture, points=PointCloud(positions.astype(np.float32), capture.points.colors))
-    x, y, z = shift
+    by = " ".join(f"{-number:.{digits}f}" for number in shift)
     return (
         capture,
         moved,
-        (f"moved by {-x:.0f} {-y:.0f} {-z:.0f}, because the cameras are far from the origin",),
+        (f"moved by {by}, because the cameras are far from the origin",),
     )

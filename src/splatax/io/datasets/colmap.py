@@ -23,10 +23,7 @@ from splatax.io.datasets.reprojection import reprojection_errors
 if TYPE_CHECKING:
     import pycolmap
 
-LOOKED_FOR = (
-    "COLMAP's cameras, images and points3D (.bin or .txt) in sparse/0, sparse, colmap/sparse/0, "
-    "distorted/sparse/0 or the folder itself"
-)
+LOOKED_FOR = "COLMAP's cameras, images and points3D (.bin or .txt) in sparse/0 or the folder itself"
 MODEL_ROOTS = ("sparse", "colmap/sparse", "distorted/sparse", ".")
 FILES = ("cameras", "images", "points3D")
 

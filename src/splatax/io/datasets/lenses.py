@@ -13,7 +13,7 @@ from splatax.errors import DatasetError, shown
 if TYPE_CHECKING:
     import pycolmap
 
-Pair = tuple[float, float]
+Pair = tuple[float | int, float | int]
 
 
 def perspective(
@@ -34,7 +34,7 @@ def perspective(
     """
     k1, k2, k3 = (*radial, 0.0, 0.0, 0.0)[:3]
     if k3:
-        return camera("FULL_OPENCV", size, [*focal, *centre, k1, k2, *tangential, k3, 0, 0, 0])
+        return camera("FULL_OPENCV", size, [*focal, *centre, k1, k2, *tangential, k3, 0.0, 0.0, 0.0])
     return camera("OPENCV", size, [*focal, *centre, k1, k2, *tangential])
 
 
@@ -48,7 +48,7 @@ def fisheye(
     """Returns an equidistant fisheye camera; the arguments are those of `perspective`, with k4."""
     k1, k2, k3, k4 = (*radial, 0.0, 0.0, 0.0, 0.0)[:4]
     if any(tangential):
-        return camera("THIN_PRISM_FISHEYE", size, [*focal, *centre, k1, k2, *tangential, k3, k4, 0, 0])
+        return camera("THIN_PRISM_FISHEYE", size, [*focal, *centre, k1, k2, *tangential, k3, k4, 0.0, 0.0])
     return camera("OPENCV_FISHEYE", size, [*focal, *centre, k1, k2, k3, k4])
 
 

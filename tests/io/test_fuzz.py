@@ -30,11 +30,12 @@ from scenes import random_gaussians
 from splatax.errors import LONGEST_MESSAGE, InputError, is_shown
 from splatax.io import formats, images
 from splatax.io.datasets import archives
+from torch_files import write_checkpoint
 
 SECONDS = float(os.environ.get("SPLATAX_FUZZ_SECONDS", "1"))  # for each kind of file
 LONGEST = 20  # seconds for one input, on a busy machine
 MOST_MEMORY = 2 << 30  # bytes that one input may ask for
-SPLATS = [".ply", ".compressed.ply", ".splat", ".spz", ".sog", ".glb", ".ksplat"]
+SPLATS = [".ply", ".compressed.ply", ".splat", ".spz", ".sog", ".glb", ".ksplat", ".pt"]
 
 
 @contextmanager
@@ -92,6 +93,8 @@ def splat_files(folder, suffix):
     scenes = [random_gaussians(n=12, degree=degree) for degree in (0, 1, 3)]
     if suffix == ".ksplat":
         return [ksplat(level, degree) for level in (0, 1, 2) for degree in (0, 1)]
+    if suffix == ".pt":
+        return [write_checkpoint(folder / f"{i}.pt", s).read_bytes() for i, s in enumerate(scenes)]
     for i, scene in enumerate(scenes):
         formats.save(folder / f"{i}{suffix}", scene)
     if suffix == ".spz":
@@ -151,10 +154,10 @@ def damaged_splats(rng, contents, others, suffix):
         text += b" " * (-len(text) % 4)
         head = struct.pack("<4sII", b"glTF", 2, 20 + len(text) + len(rest))
         return head + struct.pack("<I4s", len(text), b"JSON") + text + rest
-    if suffix == ".sog":
+    if suffix in (".sog", ".pt"):
         with zipfile.ZipFile(io.BytesIO(contents)) as archive:
             files = {name: archive.read(name) for name in archive.namelist()}
-        name = rng.choice(["meta.json", *files])
+        name = rng.choice(["meta.json" if suffix == ".sog" else "archive/data.pkl", *files])
         files[name] = (
             damaged_json(rng, files[name]) if name == "meta.json" else damaged(rng, files[name], others)
         )

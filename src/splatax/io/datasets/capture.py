@@ -1,4 +1,4 @@
-"""What every reader of captures returns: photos with cameras and poses, points and depth maps."""
+"""The record that every reader of captures returns: photos with cameras and poses, points and depth maps."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

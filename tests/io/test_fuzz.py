@@ -17,6 +17,7 @@ import warnings
 import zipfile
 from contextlib import contextmanager
 
+import foreign
 import jax
 import numpy as np
 import pytest
@@ -29,11 +30,12 @@ from scenes import random_gaussians
 from splatax.errors import LONGEST_MESSAGE, InputError, is_shown
 from splatax.io import formats, images
 from splatax.io.datasets import archives
+from torch_files import write_checkpoint
 
 SECONDS = float(os.environ.get("SPLATAX_FUZZ_SECONDS", "1"))  # for each kind of file
 LONGEST = 20  # seconds for one input, on a busy machine
 MOST_MEMORY = 2 << 30  # bytes that one input may ask for
-SPLATS = [".ply", ".compressed.ply", ".splat", ".spz", ".sog", ".glb", ".ksplat"]
+SPLATS = [".ply", ".compressed.ply", ".splat", ".spz", ".sog", ".glb", ".ksplat", ".pt"]
 
 
 @contextmanager
@@ -91,6 +93,8 @@ def splat_files(folder, suffix):
     scenes = [random_gaussians(n=12, degree=degree) for degree in (0, 1, 3)]
     if suffix == ".ksplat":
         return [ksplat(level, degree) for level in (0, 1, 2) for degree in (0, 1)]
+    if suffix == ".pt":
+        return [write_checkpoint(folder / f"{i}.pt", s).read_bytes() for i, s in enumerate(scenes)]
     for i, scene in enumerate(scenes):
         formats.save(folder / f"{i}{suffix}", scene)
     if suffix == ".spz":
@@ -150,10 +154,10 @@ def damaged_splats(rng, contents, others, suffix):
         text += b" " * (-len(text) % 4)
         head = struct.pack("<4sII", b"glTF", 2, 20 + len(text) + len(rest))
         return head + struct.pack("<I4s", len(text), b"JSON") + text + rest
-    if suffix == ".sog":
+    if suffix in (".sog", ".pt"):
         with zipfile.ZipFile(io.BytesIO(contents)) as archive:
             files = {name: archive.read(name) for name in archive.namelist()}
-        name = rng.choice(["meta.json", *files])
+        name = rng.choice(["meta.json" if suffix == ".sog" else "archive/data.pkl", *files])
         files[name] = (
             damaged_json(rng, files[name]) if name == "meta.json" else damaged(rng, files[name], others)
         )
@@ -237,6 +241,26 @@ def test_captures(kind, tmp_path):
         check(sx.load_dataset(capture))
 
     fuzz(kind, attempt)
+
+
+def test_captures_of_other_programs(tmp_path):
+    """All formats in turn, so that together they take the time of one kind of file."""
+    captures = []
+    for writer, files in foreign.FILES.items():
+        writer(folder := tmp_path / writer.__name__)
+        captures.append((folder, {folder / file: (folder / file).read_bytes() for file in files}))
+
+    def attempt(rng):
+        folder, good = rng.choice(captures)
+        path = rng.choice(list(good))
+        for other, contents in good.items():
+            other.write_bytes(contents)
+        as_json = path.suffix == ".json" and rng.random() < 0.8
+        damage = damaged_json(rng, good[path]) if as_json else damaged(rng, good[path], list(good.values()))
+        path.write_bytes(damage)
+        check(sx.load_dataset(folder))
+
+    fuzz("importers", attempt)
 
 
 def test_zip_files_of_captures(tmp_path):

@@ -40,7 +40,7 @@ class Evaluate:
     """
 
     model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")]
-    """A splat file, or the folder of a run."""
+    """A splat file, or the folder of a run of splatax, INRIA's 3DGS or gsplat."""
     scene: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")]
     """Folder of the capture, or a zip file of it."""
     split: Split = "test"

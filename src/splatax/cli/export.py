@@ -41,7 +41,7 @@ class Export:
     """
 
     model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")]
-    """A splat file, or the folder of a run."""
+    """A splat file, or the folder of a run of splatax, INRIA's 3DGS or gsplat."""
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
     """The file to write. Its suffix selects the format; .html makes a page, as splatax page does."""
     scene: Annotated[Path | None, shown_as("CAPTURE")] = None

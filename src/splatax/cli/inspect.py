@@ -14,7 +14,7 @@ from splatax.cli.output import cell, say, show
 from splatax.errors import InputError
 from splatax.inspection import examine, problems_of, seconds_to_train
 from splatax.io import images
-from splatax.io.datasets import DATASETS, folder_of
+from splatax.io.datasets import folder_of, reader_of
 from splatax.io.files import write_whole
 from splatax.report.capture import capture_page, facts_of, verdict
 
@@ -40,7 +40,7 @@ class Inspect:
 
     def run(self) -> None:
         folder = folder_of(self.scene)
-        known = any(loader.recognise(folder) for loader in DATASETS)
+        known = reader_of(folder) is not None
         if not known and not any(images.is_image(path) for path in folder.rglob("*")):
             load_scene(self.scene, self.downscale)  # says what it looked for
         dataset = load_scene(self.scene, self.downscale) if known else None

@@ -14,7 +14,7 @@ from splatax import backends
 from splatax.cli.output import say
 from splatax.errors import InputError
 from splatax.low_pass import LOW_PASSES
-from splatax.runs.finished import options_beside
+from splatax.runs.other_programs import scene_at
 from splatax.training.appearance import APPEARANCES
 from splatax.training.backgrounds import BACKGROUNDS
 from splatax.training.camera_refinement import CAMERA_REFINEMENTS
@@ -82,30 +82,30 @@ class Model:
     """A trained scene, and the options of the run that trained it, where they are known."""
 
     path: Path
+    name: str  # of the run or of the file
     gaussians: sx.Gaussians
     options: dict[str, Any]  # of the run that made it; empty if unknown
 
 
 def read_model(path: Path, low_pass: str | None) -> Model:
-    """Reads a splat file, or the scene.ply in the folder of a run, and the config.json beside it.
+    """Reads a splat file, or the scene in the folder of a run, and the options of the run.
+
+    Runs are those of splatax, of INRIA's 3DGS and of gsplat; see `runs.other_programs`.
 
     Args:
         path: of the file or folder.
-        low_pass: name of the filter to draw with instead of the one that the file names.
+        low_pass: name of the filter to draw with instead of the one that the file or the run names.
 
     Raises:
         InputError: if there is no model, or it cannot be read.
     """
-    if path.is_dir():
-        if not (path / "scene.ply").exists():
-            raise InputError(
-                f"{path}: no scene.ply in this folder. Give a splat file, or the folder of a run."
-            )
-        path = path / "scene.ply"
-    gaussians = sx.load(path)
-    if low_pass:
-        gaussians = replace(gaussians, low_pass=LOW_PASSES[low_pass])
-    return Model(path, gaussians, options_beside(path))
+    found = scene_at(path)
+    for note in found.notes:
+        say(f"note    {note}")
+    gaussians = sx.load(found.path)
+    if chosen := low_pass or found.low_pass:
+        gaussians = replace(gaussians, low_pass=LOW_PASSES[chosen])
+    return Model(found.path, found.name, gaussians, found.options)
 
 
 def background_of(options: Mapping[str, Any], asked: str | None = None) -> tuple[float, float, float]:

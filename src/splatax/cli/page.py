@@ -34,7 +34,7 @@ class Page:
     """
 
     model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")]
-    """A splat file, or the folder of a run."""
+    """A splat file, or the folder of a run of splatax, INRIA's 3DGS or gsplat."""
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE.html")]
     """The page to write."""
     scene: Annotated[Path | None, shown_as("CAPTURE")] = None
@@ -81,14 +81,9 @@ def write_page(
     web.save(
         out,
         model.gaussians,
-        title=title or _name(model.path),
+        title=title or model.name,
         cameras=cameras,
         background=background_of(model.options, background),
     )
     size = out.stat().st_size / 1e6
     say(f"{out}: {len(model.gaussians):,} Gaussians, {len(cameras)} cameras, {size:.1f} MB")
-
-
-def _name(path: Path) -> str:
-    path = path.resolve()
-    return path.parent.name if path.name == "scene.ply" else path.name.split(".")[0]

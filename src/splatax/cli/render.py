@@ -47,7 +47,7 @@ class Render:
     """
 
     model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")]
-    """A splat file, or the folder of a run."""
+    """A splat file, or the folder of a run of splatax, INRIA's 3DGS or gsplat."""
     scene: Annotated[Path | None, tyro.conf.Positional, shown_as("CAPTURE")] = None
     """Folder of the capture. By default the one that the run was trained on. Not needed for --path orbit or a
     keyframe file."""

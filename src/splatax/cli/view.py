@@ -42,7 +42,7 @@ class View:
     """
 
     model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")]
-    """A splat file, or the folder of a run."""
+    """A splat file, or the folder of a run of splatax, INRIA's 3DGS or gsplat."""
     scene: Annotated[Path | None, tyro.conf.Positional, shown_as("CAPTURE")] = None
     """Folder of the capture, to jump to its photos. By default the one that the run was trained on."""
     port: Annotated[int, tyro.conf.arg(metavar="PORT")] = PORT

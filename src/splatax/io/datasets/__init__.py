@@ -1,18 +1,47 @@
-"""Reads captures. A loader is a module with `recognise(path)` and `load(path, ...)`.
+"""Reads captures: photos with cameras and poses, points and depth, as many programs write them.
 
-A loader may raise any exception on a damaged capture; `load_dataset` turns it into a `DatasetError`.
+A reader is a module with `LOOKED_FOR`, `recognise(folder)` and `read(folder, downscale)`; it is one line of
+`DATASETS`. It returns a `Capture`, which `assembly` makes into a `Dataset`. A reader may raise any exception
+on a damaged capture; `load_dataset` turns it into a `DatasetError`.
 """
 
 from pathlib import Path
+from types import ModuleType
 
 from splatax.dataset import Dataset
 from splatax.errors import DatasetError, shown
 from splatax.io import images
 from splatax.io.damage import blamed_on
-from splatax.io.datasets import archives, colmap, llff, transforms
+from splatax.io.datasets import (
+    archives,
+    bundler,
+    colmap,
+    llff,
+    metashape,
+    nvm,
+    openmvg,
+    opensfm,
+    polycam,
+    realitycapture,
+    record3d,
+    transforms,
+)
+from splatax.io.datasets.assembly import dataset_of
 from splatax.io.datasets.photos import counted
 
-DATASETS = (colmap, transforms, llff)  # the first that recognises a folder loads it
+DATASETS: dict[str, ModuleType] = {  # the first that recognises a folder reads it
+    "COLMAP": colmap,
+    "nerfstudio, instant-ngp, Blender": transforms,
+    "LLFF": llff,
+    "Polycam": polycam,
+    "Record3D": record3d,
+    "OpenSfM, OpenDroneMap": opensfm,
+    "OpenMVG": openmvg,
+    "Metashape": metashape,
+    "RealityCapture": realitycapture,
+    "Bundler": bundler,
+    "VisualSFM": nvm,
+}
 
 
 def load_dataset(path: str | Path, *, downscale: int | None = None) -> Dataset:
@@ -30,20 +59,24 @@ def load_dataset(path: str | Path, *, downscale: int | None = None) -> Dataset:
     """
     folder = folder_of(Path(path))
     with blamed_on(Path(path), "not a capture that can be read", "Make or copy it again.", DatasetError):
-        for loader in DATASETS:
-            if loader.recognise(folder):
-                return loader.load(folder, downscale=downscale)
-    looked_for = "; ".join(loader.LOOKED_FOR for loader in DATASETS)
+        if (reader := reader_of(folder)) is not None:
+            return dataset_of(reader.read(folder, downscale), downscale)
+    looked_for = "; ".join(reader.LOOKED_FOR for reader in DATASETS.values())
     raise DatasetError(
         f"{path}: not a capture that splatax knows. It looked for {looked_for}. It found {contents(folder)}."
     )
+
+
+def reader_of(folder: Path) -> ModuleType | None:
+    """Returns the reader of the capture in a folder; None if the folder holds none that is known."""
+    return next((reader for reader in DATASETS.values() if reader.recognise(folder)), None)
 
 
 def is_capture(path: Path) -> bool:
     """Returns whether a path is a folder that holds a capture, or a zip file, which may hold one."""
     if path.is_file():
         return path.suffix.lower() == ".zip"
-    return path.is_dir() and any(loader.recognise(path) for loader in DATASETS)
+    return path.is_dir() and reader_of(path) is not None
 
 
 def folder_of(path: Path) -> Path:

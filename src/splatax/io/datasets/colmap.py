@@ -5,26 +5,25 @@
 pycolmap reads the model, and undistorts photos whose cameras are not pinholes.
 """
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from splatax.dataset import Dataset, PointCloud, hold_out
+from splatax.dataset import PointCloud
 from splatax.errors import DatasetError, shown
 from splatax.io import images
 from splatax.io.damage import blamed_on
-from splatax.io.datasets import masks, names, photos
+from splatax.io.datasets import names, photos
+from splatax.io.datasets.capture import Capture, Frame, always
 from splatax.io.datasets.colmap_files import check_whole
 from splatax.io.datasets.reprojection import reprojection_errors
 
 if TYPE_CHECKING:
     import pycolmap
 
-LOOKED_FOR = (
-    "COLMAP's cameras, images and points3D (.bin or .txt) in sparse/0, sparse, colmap/sparse/0, "
-    "distorted/sparse/0 or the folder itself"
-)
+LOOKED_FOR = "COLMAP's cameras, images and points3D (.bin or .txt) in sparse/0 or the folder itself"
 MODEL_ROOTS = ("sparse", "colmap/sparse", "distorted/sparse", ".")
 FILES = ("cameras", "images", "points3D")
 
@@ -49,48 +48,35 @@ def recognise(path: Path) -> bool:
     return bool(models_in(path))
 
 
-def load(path: Path, *, downscale: int | None = None) -> Dataset:
-    """Loads the largest model of a capture; see `load_dataset`."""
-    notes = []
+def read(path: Path, downscale: int | None) -> Capture:
+    """Reads the largest model of a capture, with the photos of the folder that fits the factor."""
     models = {folder: read_model(folder) for folder in models_in(path)}
     folder, model = max(models.items(), key=lambda item: item[1].num_reg_images())
+    notes: tuple[str, ...] = ()
     if len(models) > 1:
         sizes = ", ".join(f"{f.name}: {m.num_reg_images()} photos" for f, m in models.items())
-        notes.append(f"{len(models)} models ({sizes}); using the largest, {folder.name}")
+        notes = (f"{len(models)} models ({sizes}); using the largest, {folder.name}",)
     registered = registered_in(folder, model)
     folder, already = photos.photo_folder(path, downscale)
-    found = masks.masks_of(path, registered)
-    sources = [
-        photos.source_of(
+    frames = [
+        Frame(
             name,
             photo,
-            model.camera(registered[name].camera_id),
+            always(model.camera(registered[name].camera_id)),
             registered[name].cam_from_world().matrix(),
-            path,
-            found.get(name),
         )
         for name, photo in photos_of(registered, folder).items()
     ]
-    factor = photos.shrink_factor(sources, already, downscale)
-    views = [source.view(factor) for source in sources]
-    train, test = hold_out(views)
-    points = point_cloud(path, model)
-
-    unused = photos.unused(folder, [source.path for source in sources])
-    errors = reprojection_errors(model, registered, {view.name: view.camera for view in views})
-    notes.append(
-        f"{len(views)} of {len(views) + len(unused)} photos registered, {len(test)} held out for testing"
+    return Capture(
+        path,
+        path,
+        frames,
+        point_cloud(path, model),
+        photos=folder,
+        already=already,
+        notes=notes,
+        errors=partial(reprojection_errors, model, registered),
     )
-    notes.append(
-        f"{len(points):,} points; photos {photos.sizes_of(views)} from {folder.name}/{photos.scaling(factor)}"
-    )
-    notes += photos.limited(sources)
-    if found:
-        notes.append(f"masks for {len(found)} of {len(views)} photos, from {masks.FOLDER}/")
-    if errors:
-        every = np.concatenate(list(errors.values()))
-        notes.append(f"median reprojection error {np.median(every):.2f} px ({len(every):,} observations)")
-    return Dataset(train, test, points, tuple(notes), survey=photos.survey(sources, unused, errors))
 
 
 def read_model(folder: Path) -> "pycolmap.Reconstruction":

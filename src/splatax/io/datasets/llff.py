@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from splatax.dataset import Dataset, PointCloud, hold_out
 from splatax.errors import DatasetError
 from splatax.io import images
 from splatax.io.damage import blamed_on
-from splatax.io.datasets import masks, names, photos
+from splatax.io.datasets import names, photos
+from splatax.io.datasets.capture import Capture, Frame, always
 
 if TYPE_CHECKING:
     import pycolmap
@@ -32,9 +32,9 @@ def recognise(path: Path) -> bool:
     return (path / FILE).is_file()
 
 
-def load(path: Path, *, downscale: int | None = None) -> Dataset:
-    """Loads a capture; see `load_dataset`."""
-    rows = read(path / FILE)
+def read(path: Path, downscale: int | None) -> Capture:
+    """Reads a capture, whose photos belong to the poses by their order alone."""
+    rows = rows_of(path / FILE)
     folder, already = photos.photo_folder(path, downscale)
     found = sorted(photo for photo in folder.iterdir() if images.is_image(photo))
     if len(found) != len(rows):
@@ -42,25 +42,14 @@ def load(path: Path, *, downscale: int | None = None) -> Dataset:
             f"{path / FILE}: poses of {len(rows)} photos, but {folder} holds {len(found)}; they belong "
             "together by order alone, so all must be there. Put back the folder as it was."
         )
-    by_name = {names.checked(photo.name, folder): photo for photo in found}
-    beside = masks.masks_of(path, by_name)
-    sources = [
-        photos.source_of(name, photo, lens_of(row), pose_of(row), path, beside.get(name))
-        for (name, photo), row in zip(by_name.items(), rows, strict=True)
+    frames = [
+        Frame(names.checked(photo.name, folder), photo, always(lens_of(row)), pose_of(row))
+        for photo, row in zip(found, rows, strict=True)
     ]
-    factor = photos.shrink_factor(sources, already, downscale)
-    views = [source.view(factor) for source in sources]
-    train, test = hold_out(views)
-    notes = (
-        f"{len(views)} photos with poses, {len(test)} held out for testing",
-        f"no points; photos {photos.sizes_of(views)} from {folder.name}/{photos.scaling(factor)}",
-        *photos.limited(sources),
-    )
-    none = np.zeros((0, 3), np.float32)
-    return Dataset(train, test, PointCloud(none, none), notes, survey=photos.survey(sources, (), {}))
+    return Capture(path / FILE, path, frames, photos=folder, already=already)
 
 
-def read(path: Path) -> Float[np.ndarray, "n 17"]:
+def rows_of(path: Path) -> Float[np.ndarray, "n 17"]:
     """Returns the rows of the file.
 
     Raises:

@@ -23,7 +23,7 @@ import numpy as np
 
 from splatax.errors import FormatError
 from splatax.gaussians import Gaussians, broken, checked
-from splatax.io.formats import compressed_ply, glb, ksplat, ply, sog, sog_folder, splat, spz
+from splatax.io.formats import compressed_ply, glb, gsplat_pt, ksplat, ply, sog, sog_folder, splat, spz
 from splatax.io.formats.marks import MARKS, mark
 from splatax.io.formats.marks import MIP as MIP
 from splatax.io.formats.untrusted import structured
@@ -39,6 +39,7 @@ FORMATS: dict[str, ModuleType] = {
     "meta.json": sog_folder,
     ".glb": glb,
     ".ksplat": ksplat,
+    ".pt": gsplat_pt,
 }
 
 

@@ -40,6 +40,7 @@ TRAILER = 1 << 16  # most bytes of extensions after the data, which are skipped
 DEFAULT_FRACTIONAL_BITS = 12
 COLOR_SCALE = 0.15
 XYZW = [1, 2, 3, 0]  # from splatax's order of quaternion components; [3, 0, 1, 2] is the inverse
+GZIP_LEVEL = 6  # 9 is 7 times slower and 3 % smaller (305,492 Gaussians of SH degree 3)
 BUCKETS = (8, 16)  # levels merged into one, for SH degree 1 and for higher ones; larger compresses better
 
 MAX_SH_DEGREE = 4
@@ -120,7 +121,7 @@ def save(
     streams = [stream.tobytes() for stream in _encode(path, gaussians, bits, buckets)]
     fields = (MAGIC, version, len(gaussians), gaussians.sh_degree, bits, flags)
     if version == 3:
-        packed = gzip.compress(HEADER.pack(*fields, 0) + b"".join(streams), 9, mtime=0)
+        packed = gzip.compress(HEADER.pack(*fields, 0) + b"".join(streams), GZIP_LEVEL, mtime=0)
     elif version == 4:
         streams = [stream for stream in streams if stream]
         import zstandard
@@ -228,8 +229,10 @@ def _encode(
     signed = np.stack([others < 0, magnitudes], axis=2).reshape(-1, 6)
     rotations = packing.pack(np.concatenate([largest[:, None], signed], axis=1), 2, *[1, 9] * 3)
     colors = np.asarray(gaussians.sh[:, 0]) * np.float32(COLOR_SCALE) + np.float32(0.5)
-    rest = np.rint(np.asarray(gaussians.sh[:, 1:]) * 128).astype(np.int64) + 128
+    rest = np.asarray(gaussians.sh[:, 1:])
     bucket = np.where(np.arange(rest.shape[1]) < 3, *buckets)[:, None]
+    # Rounded once, to a multiple of the bucket: rounding whole levels again would raise each by half of one.
+    levels = np.rint(np.clip(rest, -2, 2) * (128 / bucket).astype(np.float32)) * bucket + 128
     log_scales = np.asarray(gaussians.log_scales)
     if clipped := int(np.sum(log_scales.max(axis=1, initial=-np.inf) > 255 / 16 - 10)):
         warnings.warn(
@@ -241,7 +244,7 @@ def _encode(
         packing.levels(colors, 255).astype("u1"),
         packing.levels((log_scales + 10) * np.float32(16 / 255), 255).astype("u1"),
         rotations.astype("<u4"),
-        np.clip((rest + bucket // 2) // bucket * bucket, 0, 255).astype("u1"),
+        np.clip(levels, 0, 255).astype("u1"),
     ]
 
 

@@ -1,0 +1,157 @@
+"""Turns a capture, in whatever format it came, into a data set of views."""
+
+import os
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from splatax.dataset import Dataset, PointCloud, View, hold_out
+from splatax.errors import DatasetError
+from splatax.io.datasets import depths, masks, photos
+from splatax.io.datasets.capture import Capture, Frame
+
+FAR = 1000  # times the size of the set of cameras: farther from the origin, float32 loses detail
+
+
+def dataset_of(capture: Capture, downscale: int | None) -> Dataset:
+    """Returns the data set of a capture; see `load_dataset`.
+
+    Raises:
+        DatasetError: if no photo is there, a photo or a camera cannot be used, or all photos are held out.
+    """
+    present, missing = parted_by_presence(capture)
+    moved: tuple[str, ...] = ()
+    if capture.errors is None:  # those of COLMAP's points are measured in its own world
+        capture, present, moved = near_origin(capture, present)
+    folder = capture.photos or Path(os.path.commonpath([frame.path.parent for frame in present]))
+    named = names_of(capture, present, folder)
+    beside = {} if any(frame.mask for frame in present) else masks.masks_of(capture.home, named)
+    sources = [
+        photos.source_of(
+            name,
+            frame.path,
+            frame.lens(frame.path),
+            frame.cam_from_world,
+            capture.home,
+            frame.mask or beside.get(name),
+        )
+        for name, frame in sorted(named.items())
+    ]
+    factor = photos.shrink_factor(sources, capture.already, downscale)
+    views = [source.view(factor) for source in sources]
+    train, test = hold_out(views) if capture.held_out is None else parted(capture, views, named)
+    points = capture.points
+    measured: tuple[str, ...] = ()
+    if not len(points):
+        maps = {name: frame.depth for name, frame in named.items() if frame.depth}
+        points, measured = depths.points_of(sources, maps, capture.home)
+    unused = photos.unused(folder, [source.path for source in sources]) if folder != capture.home else ()
+    errors = capture.errors({view.name: view.camera for view in views}) if capture.errors else {}
+    notes = [
+        *capture.notes,
+        f"{len(views)} of {len(views) + len(unused)} photos registered, {len(test)} held out for testing",
+        *absent(missing, len(capture.frames)),
+        f"{f'{len(points):,}' if len(points) else 'no'} points; photos {photos.sizes_of(views)} "
+        f"from {folder.name}/{photos.scaling(factor)}",
+        *measured,
+        *moved,
+        *photos.limited(sources),
+    ]
+    if count := sum(source.mask is not None for source in sources):
+        notes.append(f"masks for {count} of {len(views)} photos{f', from {masks.FOLDER}/' if beside else ''}")
+    if errors:
+        every = np.concatenate(list(errors.values()))
+        notes.append(f"median reprojection error {np.median(every):.2f} px ({len(every):,} observations)")
+    survey = photos.survey(sources, unused, errors)
+    return Dataset(train, test, points, tuple(notes), capture.background, survey)
+
+
+def parted_by_presence(capture: Capture) -> tuple[list[Frame], list[Frame]]:
+    """Returns the frames whose photo is on the disk, and the others.
+
+    Raises:
+        DatasetError: if there is no photo at all.
+    """
+    present: list[Frame] = []
+    missing: list[Frame] = []
+    for frame in capture.frames:
+        (present if os.path.isfile(frame.path) else missing).append(frame)
+    if not capture.frames:
+        raise DatasetError(f"{capture.source}: no photo in it has a pose. Export the capture again.")
+    if not present:
+        raise DatasetError(
+            f"{capture.source}: none of its {len(missing)} photos is there; the first should be "
+            f"{missing[0].path}. Put them where the file says."
+        )
+    return present, missing
+
+
+def absent(missing: list[Frame], total: int) -> Iterable[str]:
+    """Returns a line about the frames without a photo, if there are any."""
+    names = photos.listed(frame.name for frame in missing)
+    return [f"{len(missing)} of {total} frames have no photo: {names}"] if missing else []
+
+
+def names_of(capture: Capture, present: list[Frame], folder: Path) -> dict[str, Frame]:
+    """Returns the frames by the names of their views.
+
+    Raises:
+        DatasetError: if two frames have one photo.
+    """
+    named: dict[str, Frame] = {}
+    for frame in present:
+        name = frame.name if capture.photos else frame.path.relative_to(folder).as_posix()
+        if name in named:
+            raise DatasetError(f"{capture.source}: {name} is the photo of two frames. Remove one of them.")
+        named[name] = frame
+    return named
+
+
+def parted(
+    capture: Capture, views: list[View], named: dict[str, Frame]
+) -> tuple[tuple[View, ...], tuple[View, ...]]:
+    """Returns (train, test) views, as the capture's split defines them.
+
+    Raises:
+        DatasetError: if no view is left to train on.
+    """
+    tested = capture.held_out or set()
+    test = tuple(view for view in views if named[view.name].name in tested)
+    train = tuple(view for view in views if named[view.name].name not in tested)
+    if not train:
+        raise DatasetError(
+            f"{capture.source}: all photos that are there are held out. Put those to train on beside it."
+        )
+    return train, test
+
+
+def near_origin(capture: Capture, present: list[Frame]) -> tuple[Capture, list[Frame], tuple[str, ...]]:
+    """Moves a capture in geographic coordinates near the origin, because scenes are in single precision.
+
+    Returns:
+        The capture, its frames with photos, and a note that tells the shift, if there is one.
+    """
+    poses = np.stack([frame.cam_from_world for frame in present])
+    if not np.isfinite(poses).all():
+        return capture, present, ()  # refused later, with the photo's name
+    eyes = -np.einsum("nji,nj->ni", poses[:, :, :3], poses[:, :, 3])
+    middle = np.median(eyes, axis=0)
+    spread = np.abs(eyes - middle).max()
+    if not 0 < FAR * spread < np.abs(middle).max():
+        return capture, present, ()
+    digits = max(0, 1 - int(np.floor(np.log10(spread))))
+    shift = np.round(middle, digits)
+    moved = [
+        replace(frame, cam_from_world=np.column_stack([pose[:, :3], -pose[:, :3] @ (eye - shift)]))
+        for frame, pose, eye in zip(present, poses, eyes, strict=True)
+    ]
+    positions = capture.points.positions.astype(np.float64) - shift
+    capture = replace(capture, points=PointCloud(positions.astype(np.float32), capture.points.colors))
+    by = " ".join(f"{-number:.{digits}f}" for number in shift)
+    return (
+        capture,
+        moved,
+        (f"moved by {by}, because the cameras are far from the origin",),
+    )

@@ -162,7 +162,7 @@ def test_a_box_shows_what_a_scene_of_the_rest_alone_would():
 def progress_of(gaussians):
     """In the middle of training."""
     state = first_state(gaussians, sx.recipes.classic(), 1.0, 1)
-    return sx.Progress(2, 3, jnp.float32(0.4), len(gaussians), state)
+    return sx.Progress(2, 3, jnp.float32(0.4), len(gaussians), state, sx.Dilation())
 
 
 class Client:

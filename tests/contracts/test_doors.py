@@ -44,13 +44,6 @@ def installed_as_users_have_it():
     jaxtyping.config.update("jaxtyping_disable", False)
 
 
-@pytest.fixture(params=list(backends.BACKENDS))
-def backend(request):
-    if reason := backends.why_unavailable(request.param):
-        pytest.skip(reason)
-    return request.param
-
-
 @st.composite
 def wrong_shapes(draw, shape):
     """A shape that is none of those that would fit: an axis more, less, longer, shorter, empty or moved."""

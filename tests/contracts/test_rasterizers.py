@@ -16,13 +16,6 @@ from splatax.rendering import composite
 FAST = [name for name in backends.BACKENDS if name not in ("reference", "cpu")]  # cpu: the best of its kind
 
 
-@pytest.fixture(params=["reference", *FAST])
-def backend(request):
-    if reason := backends.why_unavailable(request.param):
-        pytest.skip(reason)
-    return request.param
-
-
 @pytest.fixture(params=FAST)
 def fast(request):
     if reason := backends.why_unavailable(request.param):

@@ -12,20 +12,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 from scenes import camera_at, random_gaussians
-from splatax import backends
 from splatax.rendering import render
 
 GAUSSIANS = random_gaussians(n=30, degree=1)
 CAMERAS = [camera_at((x, 0.3, -4), size=(16, 12), focal=14.0) for x in (-0.5, 0.0, 0.5)]
 STACKED = jax.tree.map(lambda *leaves: jnp.stack(leaves), *CAMERAS)
 WEIGHTS = jnp.asarray(np.random.default_rng(0).normal(size=(12, 16, 3)), jnp.float32)
-
-
-@pytest.fixture(params=list(backends.BACKENDS))
-def backend(request):
-    if reason := backends.why_unavailable(request.param):
-        pytest.skip(reason)
-    return request.param
 
 
 @pytest.fixture

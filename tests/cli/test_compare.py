@@ -59,7 +59,7 @@ def of_another_capture(runs, tmp_path):
 
 def of_another_split(runs, tmp_path):
     change(runs[1] / "metrics.json", lambda metrics: metrics["test"]["views"].pop())
-    return f"{runs[0]}: tested on photo08.png, which {runs[1]} is not"
+    return f"{runs[0]}: tested on photo04.png, which {runs[1]} is not"
 
 
 def of_another_protocol(runs, tmp_path):

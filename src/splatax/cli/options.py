@@ -15,6 +15,7 @@ from splatax.cli.output import say
 from splatax.errors import InputError
 from splatax.low_pass import LOW_PASSES
 from splatax.runs.other_programs import scene_at
+from splatax.splits import parse_hold_out
 from splatax.training.appearance import APPEARANCES
 from splatax.training.backgrounds import BACKGROUNDS
 from splatax.training.camera_refinement import CAMERA_REFINEMENTS
@@ -23,11 +24,12 @@ from splatax.training.recipes import PRESETS
 Downscale = Literal["auto"] | int
 BackendName = Literal["auto", *backends.BACKENDS]  # type: ignore[valid-type]
 BackgroundName = Literal[*BACKGROUNDS]  # type: ignore[valid-type]
-AppearanceName = Literal[*APPEARANCES]  # type: ignore[valid-type]
+AppearanceName = Literal["auto", *APPEARANCES]  # type: ignore[valid-type]
 RefinementName = Literal[*CAMERA_REFINEMENTS]  # type: ignore[valid-type]
 LowPassName = Literal[*LOW_PASSES]  # type: ignore[valid-type]
 
 
+EARLIER_RULE = "every:8:1"  # of runs whose config.json names none
 Value = TypeVar("Value")
 Split = Literal["test", "train", "all"]
 InitName = Literal["sfm", "random"]
@@ -45,6 +47,7 @@ LowPassOption = Annotated[LowPassName | None, shown_as()]
 DownscaleOption = Annotated[Downscale | None, shown_as("{auto,N}")]
 PathOption = Annotated[Path | None, shown_as("PATH")]
 FolderOption = Annotated[Path | None, shown_as("FOLDER")]
+HoldOutOption = Annotated[str | None, shown_as("{every:N,last,LIST,none}")]
 TextOption = Annotated[str | None, shown_as("TEXT")]
 
 
@@ -135,14 +138,26 @@ def scene_of(model: Model) -> Path | None:
     return Path(scene) if scene and Path(scene).is_dir() else None
 
 
-def load_scene(scene: Path, downscale: Downscale | None, model: Model | None = None) -> sx.Dataset:
-    """Loads a capture, by default at the size that a model was trained at."""
+def load_scene(
+    scene: Path, downscale: Downscale | None, model: Model | None = None, hold_out: str | None = None
+) -> sx.Dataset:
+    """Loads a capture, by default with the size and the held-out photos that a model was trained with.
+
+    Raises:
+        InputError: if an option makes no sense for the capture.
+    """
+    options = model.options if model else {}
     chosen = downscale
     if chosen is None:
-        chosen = model.options.get("downscale", "auto") if model else "auto"
+        chosen = options.get("downscale", "auto")
+    rule = hold_out or (options.get("hold_out", EARLIER_RULE) if options else None)
     if chosen != "auto" and int(chosen) < 1:
         raise InputError(f'--downscale: "auto" or a whole number from 1, not {chosen}.')
-    return sx.load_dataset(scene, downscale=None if chosen == "auto" else int(chosen))
+    return sx.load_dataset(
+        scene,
+        downscale=None if chosen == "auto" else int(chosen),
+        hold_out=None if rule is None else parsed("hold_out", rule, parse_hold_out),
+    )
 
 
 def resolve_backend(name: str) -> str:

@@ -101,10 +101,27 @@ def write_camera(database: "pycolmap.Database", group: Sequence[Entry]) -> tuple
     return camera.camera_id, database.write_rig(rig)
 
 
-def extract(path: Path, photos: Path, features: Features, watch: Callable[[int, int], None]) -> None:
-    """Extracts SIFT features (Lowe 2004) of the photos that have none yet, on the CPU."""
+def extract(
+    path: Path,
+    photos: Path,
+    features: Features,
+    watch: Callable[[int, int], None],
+    masks: Path | None = None,
+) -> None:
+    """Extracts SIFT features (Lowe 2004) of the photos that have none yet, on the CPU.
+
+    Args:
+        path: of the database.
+        photos: folder of the photos.
+        features: settings.
+        watch: function that is called with (photos done, all photos).
+        masks: folder of masks, named after their photo with ".png" at the end. Black pixels have no features.
+    """
     import pycolmap
 
+    reading = pycolmap.ImageReaderOptions()
+    if masks:
+        reading.mask_path = masks
     options = pycolmap.FeatureExtractionOptions()
     options.max_image_size = features.longest_side
     options.sift.max_num_features = features.most
@@ -116,7 +133,12 @@ def extract(path: Path, photos: Path, features: Features, watch: Callable[[int, 
         watch(len(every) - len(left) + start, len(every))
         names = left[start : start + PHOTOS_AT_ONCE]
         pycolmap.extract_features(
-            path, photos, image_names=names, extraction_options=options, device=pycolmap.Device.cpu
+            path,
+            photos,
+            image_names=names,
+            reader_options=reading,
+            extraction_options=options,
+            device=pycolmap.Device.cpu,
         )
     watch(len(every), len(every))
 

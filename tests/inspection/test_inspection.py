@@ -134,8 +134,8 @@ def test_inverted_masks_are_suspected(capture):
 def test_captures_without_points_are_told_how_to_start(tmp_path):
     found = problems(write_transforms(tmp_path / "capture"))
     (fix,) = (p.fix for p in found if p.what == "There are no points to start from.")
-    assert "init random of splatax train" in fix
-    assert "InFrusta()" in fix
+    assert "splatax train finds some in the photos" in fix
+    assert "reconstruction.triangulated" in fix
 
 
 def test_memory_that_is_not_there_is_an_error(capture, monkeypatch):

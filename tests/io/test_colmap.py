@@ -280,7 +280,9 @@ def test_no_points_is_refused_by_the_start_that_needs_them(tmp_path):
     model.delete_all_points2D_and_points3D()
     model.write_binary(capture / "sparse" / "0")
     dataset = sx.load_dataset(capture)
-    with pytest.raises(DatasetError, match=r"no points to start from. Start from random Gaussians"):
+    with pytest.raises(
+        DatasetError, match=r"no points to start from. Find some: .* Or start from random Gaussians"
+    ):
         next(sx.optimize(dataset, sx.Recipe(steps=1)))
 
 

@@ -27,7 +27,7 @@ def test_poses_and_focal_length_are_those_of_the_photos(capture):
 
 def test_training_starts_at_random_if_asked(capture):
     dataset = sx.load_dataset(capture)
-    with pytest.raises(DatasetError, match="Start from random Gaussians"):
+    with pytest.raises(DatasetError, match="Or start from random Gaussians"):
         next(sx.optimize(dataset, sx.Recipe(steps=1)))
     assert jax.tree.leaves(dataset.train[0].camera)
 

@@ -45,7 +45,7 @@ class Order:
     """
 
     photos: str
-    options: dict  # type: ignore[type-arg]
+    options: dict
 
 
 @dataclass(frozen=True)
@@ -147,12 +147,9 @@ class Create:
         if limits.within is not None:
             end = began + parsed("within", limits.within, parse_seconds) - PAGE_SECONDS
             return replace(limits, within=f"{max(fraction * (end - time.monotonic()), 1.0):.0f}s")
-        if limits.steps is not None:
-            return replace(limits, steps=max(round(limits.steps * fraction), 1))
-        if not self.plannable:
-            return (
-                limits if fraction == 1 else replace(limits, steps=max(round(Settings.steps * fraction), 1))
-            )
+        steps = limits.steps if self.plannable else limits.steps or Settings.steps
+        if steps is not None:
+            return replace(limits, steps=max(round(steps * fraction), 1))
         seconds = parsed("budget", limits.budget or BUDGET, parse_seconds)
         return replace(limits, budget=f"{part * seconds:g}s")
 
@@ -248,7 +245,10 @@ class Create:
         Raises:
             InputError: if an option makes no sense.
         """
-        return Settings(**{name: value for name, value in given(self).items() if name in NAMES - NOT_ORDERED})
+        options = {name: value for name, value in given(self).items() if name in NAMES - NOT_ORDERED}
+        if self.plannable and self.limits.steps is None and self.limits.within is None:
+            options.setdefault("budget", BUDGET)
+        return Settings(**options)
 
     def order(self) -> "Order":
         """Returns the input that the options describe."""

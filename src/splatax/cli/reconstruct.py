@@ -13,7 +13,7 @@ from splatax.cli.options import OverwriteFlag
 from splatax.cli.output import say
 from splatax.cli.stages import Stages
 from splatax.errors import InputError
-from splatax.reconstruction import Outcome, pipeline, reconstruct
+from splatax.reconstruction import Outcome, forecast, pipeline, reconstruct
 from splatax.reconstruction.mapping import Features
 from splatax.reconstruction.pairs import Exhaustive, Pairing, Sequential, Similar
 from splatax.reconstruction.work import clear
@@ -86,12 +86,34 @@ class Reconstruct:
                 features=DETAILS[self.cameras.detail],
                 pairing=PAIRINGS[self.cameras.matching],
                 seed=self.seed,
-                watch=stages.show,
+                watch=Forecasting(stages, self.photos, self.cameras),
             )
         for line in told(outcome):
             say(line)
         say(f"capture {self.out}, after {duration(time.monotonic() - began)}")
         say(f"check it: splatax inspect {self.out}      train on it: splatax train {self.out}")
+
+
+class Forecasting:
+    """Shows the progress of a reconstruction, and forecasts its end once the first photos have features."""
+
+    def __init__(self, stages: Stages, source: Path, cameras: FindingCameras):
+        self.stages, self.source, self.cameras = stages, source, cameras
+        self._first: tuple[int, float] | None = None
+        self._told = False
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        self.stages.show(stage, done, total)
+        if stage != "features" or self._told:
+            return
+        if self._first is None:
+            self._first = done, time.monotonic()
+        elif done > self._first[0]:
+            self._told = True
+            each = (time.monotonic() - self._first[1]) / (done - self._first[0])
+            pairing = PAIRINGS[self.cameras.matching] or pipeline.pairing_for(self.source, total)
+            left = duration(forecast.seconds_left(each, done, total, pairing))
+            self.stages.note(f"the cameras of {total:,} photos take about {left} more")
 
 
 def told(outcome: Outcome) -> list[str]:

@@ -40,6 +40,10 @@ class Stages:
     def __exit__(self, *_: object) -> None:
         self._bars.stop()
 
+    def note(self, text: str) -> None:
+        """Prints a line above the bars."""
+        self.console.print(text, highlight=False, markup=False, soft_wrap=True)
+
     def show(self, stage: str, done: int, total: int) -> None:
         """Shows the progress of a stage; on a terminal with the remaining time."""
         new = stage not in self._tasks

@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     import pycolmap
 
 PHOTOS_AT_ONCE, PAIRS_AT_ONCE = 16, 128
+FIRST_PHOTOS = 4  # whose time tells how long all take
 FEWEST_IN_MODEL = 3  # photos
 MANY = 20  # photos of one camera from which its tangential distortion is estimated too
 UNKNOWN_FOCAL = 1.2  # focal length over the longer side if EXIF has none (as in COLMAP)
@@ -129,9 +131,10 @@ def extract(
     with opened(path) as database:
         every = sorted(database.read_all_images(), key=lambda image: image.image_id)
         left = [image.name for image in every if not database.exists_keypoints(image.image_id)]
-    for start in range(0, len(left), PHOTOS_AT_ONCE):
+    starts = [0, *range(FIRST_PHOTOS, len(left), PHOTOS_AT_ONCE), len(left)]
+    for start, end in pairwise(starts if left else []):
         watch(len(every) - len(left) + start, len(every))
-        names = left[start : start + PHOTOS_AT_ONCE]
+        names = left[start:end]
         pycolmap.extract_features(
             path,
             photos,

@@ -12,6 +12,7 @@ from splatax.dataset import Pixels, PointCloud, View, mask_of
 from splatax.io.datasets.colmap_writing import model_of_cameras
 from splatax.packages import required_by
 from splatax.reconstruction import mapping
+from splatax.reconstruction.mapping import Features
 from splatax.reconstruction.pairs import Exhaustive, Pairing, Similar
 from splatax.reconstruction.photos import save
 from splatax.reconstruction.pipeline import FEW, Watch, features_for
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 STAGES = ("reading", "features", "matches", "points")
 FEWEST_VIEWS = 2
+SMALL = 800  # pixels of the longer side, up to which smaller features take little time
 VERY_FEW_VIEWS = 30  # up to which points that only two views see are kept
 
 
@@ -54,7 +56,7 @@ def triangulated(
         database = work / "database.db"
         with mapping.opened(database) as empty:
             register(empty, model)
-        features = features_for(len(views))
+        features = features_of(views)
         mapping.extract(database, work / "photos", features, partial(watch, "features"), masks)
         pairing: Pairing = Exhaustive() if len(views) <= FEW else Similar()
         mapping.match(database, pairing, seed, partial(watch, "matches"))
@@ -93,6 +95,12 @@ def write_photos(
         save(folder / f"{name}.png", np.repeat(np.where(counts, np.uint8(255), np.uint8(0))[..., None], 3, 2))
     watch(len(views), len(views))
     return None if everything else folder
+
+
+def features_of(views: Sequence[View]) -> Features:
+    """Returns the settings of feature extraction: with smaller features for few or small photos."""
+    longest = max(max(view.camera.width, view.camera.height) for view in views)
+    return Features(first_octave=-1) if longest <= SMALL else features_for(len(views))
 
 
 def over_black(pixels: Pixels) -> Pixels:

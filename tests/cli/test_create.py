@@ -6,7 +6,7 @@ import pytest
 from test_refusals import refused
 
 import splatax as sx
-from captures import write_capture
+from captures import write_capture, write_transforms
 from splatax import cli
 from splatax.cli import create
 from splatax.web import page
@@ -186,6 +186,23 @@ def test_a_capture_too_small_to_hold_photos_out_has_no_trial(stages, photos, tmp
     cli.main(["create", str(photos), "--out", str(tmp_path / "out")])
     assert stages == ["reconstruct", "train", "page"]
     assert "4 photos are too few to hold some out, so the scene has no score" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("found", [True, False])
+def test_points_of_a_capture_without_any_are_looked_for_once(found, stages, photos, tmp_path, monkeypatch):
+    bare, asked = sx.load_dataset(write_transforms(tmp_path / "bare")), []
+
+    def found_points(capture, views, out, seed):
+        asked.append(len(views))
+        return out / "points.ply" if found else None
+
+    monkeypatch.setattr(create, "load_scene", lambda *_: bare)
+    monkeypatch.setattr(create, "found_points", found_points)
+    cli.main(["create", str(photos), "--out", str(tmp_path / "out")])
+    assert asked == [9]  # all photos, as COLMAP's points of a capture are from all of them
+    path = tmp_path / "out" / "points.ply"
+    assert {run.photos.points for run in stages.runs} == {path if found else None}
+    assert {run.method.init for run in stages.runs} == {None if found else "random"}
 
 
 def test_nothing_is_begun_that_cannot_end_well(stages, photos, tmp_path, capsys):

@@ -99,6 +99,14 @@ def test_every_decision_is_said_with_the_option_that_overrides_it(tmp_path, monk
     assert not capsys.readouterr().out
 
 
+def test_if_most_photos_would_be_left_out_all_are_used(tmp_path, monkeypatch, capsys):
+    repeated = {f"photo0{i}.png": "photo08.png" for i in range(8)}
+    monkeypatch.setattr(preparing, "look_first", lambda _: Findings(repeated=repeated))
+    settings, dataset = prepared(write_capture(tmp_path / "capture"), tmp_path)
+    assert (settings.leave_out, len(dataset.train)) == ("none", 8)
+    assert "most photos are blurred or repeat another, so all are used" in capsys.readouterr().out
+
+
 def test_photos_to_leave_out_can_be_named(tmp_path, capsys):
     capture = write_capture(tmp_path / "capture")
     named = Settings(capture, leave_out="photo00,photo08.png").absolute()

@@ -100,21 +100,23 @@ class Create:
         if self.open:
             webbrowser.open(page.resolve().as_uri())
 
-    def train(self, capture: Path, run: Path, began: float) -> None:
+    def train(self, capture: Path, out: Path, began: float) -> None:
         """Trains on all photos, after a trial run that tells how good such a scene is."""
-        photos = self.photos
-        if files(run) and not self.overwrite:
-            self.finish(run)
+        if files(out) and not self.overwrite:
+            self.finish(out)
             return
-        if photos.points is None and self.method.init is None:
-            photos = self.with_points(capture, photos)
+        photos, method = self.start(capture)
+        run = Train(
+            capture, out, self.named(), True, photos, self.limits, method, self.saving, live=self.live
+        )
         judge = None
         if photos.hold_out is None:
-            judge = self.tried(capture, photos, began)
-            photos = replace(photos, hold_out="none", judged_by=judge)
-        self.stage(capture, run, photos, self.left(began, 1.0, had_trial=judge is not None), self.live)
+            judge = self.tried(run, capture, began)
+            run = replace(run, photos=replace(photos, hold_out="none", judged_by=judge))
+        replace(run, limits=self.left(began, 1.0, had_trial=judge is not None)).run()
+        self.stop_if_stopped(out)
 
-    def tried(self, capture: Path, photos: Photos, began: float) -> Path | None:
+    def tried(self, run: Train, capture: Path, began: float) -> Path | None:
         """Returns the folder of a trial run with held-out photos, trained if it is not there yet.
 
         None if the capture is too small to hold photos out.
@@ -131,7 +133,9 @@ class Create:
             return None
         unseen = f"{len(dataset.test)} of {counted(len(dataset.views))}"
         say(f"trial run without {unseen}, which tell how good a scene of these photos is")
-        self.stage(capture, trial, photos, self.left(began, TRIAL), Live())
+        title = f"{self.named()}, trial run"
+        replace(run, out=trial, title=title, limits=self.left(began, TRIAL), live=Live()).run()
+        self.stop_if_stopped(trial)
         return trial
 
     def left(self, began: float, fraction: float, had_trial: bool = False) -> Limits:
@@ -152,16 +156,6 @@ class Create:
             return replace(limits, steps=max(round(steps * fraction), 1))
         seconds = parsed("budget", limits.budget or BUDGET, parse_seconds)
         return replace(limits, budget=f"{part * seconds:g}s")
-
-    def stage(self, capture: Path, run: Path, photos: Photos, limits: Limits, live: Live) -> None:
-        """Trains a run.
-
-        Raises:
-            KeyboardInterrupt: if the user stopped it; it is saved.
-        """
-        title = self.named() if live is self.live else f"{self.named()}, trial run"
-        Train(capture, run, title, True, photos, limits, self.method, self.saving, live=live).run()
-        self.stop_if_stopped(run)
 
     def finish(self, run: Path) -> None:
         """Resumes a run that was stopped.
@@ -184,20 +178,22 @@ class Create:
             say(f"trained already: {run / 'scene.ply'}")
         return there
 
-    def with_points(self, capture: Path, photos: Photos) -> Photos:
-        """Returns the photos with points to start from, which it finds if the capture has none.
+    def start(self, capture: Path) -> tuple[Photos, Method]:
+        """Returns the options of both runs, with points to start from.
 
-        The points are found once, in all photos, for both runs.
+        If the capture has no points, they are found once, in all photos; if that fails, both runs start at
+        random.
         """
         path = self.out / POINTS
+        if self.photos.points is not None or self.method.init is not None:
+            return self.photos, self.method
         if self.overwrite or not path.exists():
             dataset = load_scene(capture, self.limits.downscale)
             if len(dataset.points):
-                return photos
-            found = found_points(capture, dataset.views, self.out, self.method.seed or 0)
-            if found is None:
-                return photos
-        return replace(photos, points=path.absolute())
+                return self.photos, self.method
+            if found_points(capture, dataset.views, self.out, self.method.seed or 0) is None:
+                return self.photos, replace(self.method, init="random")
+        return replace(self.photos, points=path.absolute()), self.method
 
     def refuse_what_cannot_be_made(self) -> None:
         """Raises InputError before any work is done."""

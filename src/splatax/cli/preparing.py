@@ -17,6 +17,7 @@ from splatax.reconstruction import triangulation
 from splatax.splits import Listed, listed_in
 from splatax.training.initialize import InFrusta, focus_distance
 
+LARGEST_FRACTION = 0.5  # of the training photos that are left out
 POINTS = "points.ply"  # in the folder of a run that had to find its points
 FEWEST_POINTS = 100  # from which triangulated points are a better start than random ones
 
@@ -61,15 +62,21 @@ def prepared(settings: Settings, dataset: sx.Dataset, out: Path) -> tuple[Settin
         path = found_points(settings.scene, dataset.train, out, settings.seed)
         if path is None:
             settings = replace(settings, init="random")
-            say(random_start(dataset, settings))
         else:
             settings = replace(settings, points=path)
             dataset = replace(dataset, points=read_points(path))
+    if settings.init == "random":
+        say(random_start(dataset, settings))
     if "auto" not in (settings.leave_out, settings.appearance):
         return settings, dataset
     findings = look_first(dataset)
     if settings.leave_out == "auto":
         names, lines = spared_by(findings)
+        if len(names) > LARGEST_FRACTION * len(dataset.train):
+            names, lines = [], []
+            say(
+                "most photos are blurred or repeat another, so all are used. Leave some out: --leave-out LIST"
+            )
         for line in lines:
             say(f"{line}. Use all photos: --leave-out none")
         settings = replace(settings, leave_out="".join(f"{name}\n" for name in names) or "none")

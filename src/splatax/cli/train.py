@@ -21,7 +21,7 @@ from splatax.cli.view import audience
 from splatax.errors import InputError
 from splatax.io.datasets.colmap_writing import PLACE
 from splatax.report.training import pages
-from splatax.runs.budget import Changes, Clock, duration, measured, parse_seconds, plan
+from splatax.runs.budget import DEFAULT_BUDGET, Changes, Clock, duration, measured, parse_seconds, plan
 from splatax.runs.checkpoints import Checkpoints
 from splatax.runs.claim import claimed_for_run
 from splatax.runs.finished import finished, read_runs
@@ -34,8 +34,7 @@ from splatax.runs.session import Session, all_made
 from splatax.training.loop import RunState
 from splatax.training.recipes import PRESETS
 
-MAY_CHANGE = {"scene", "title", "checkpoint_every", "checkpoint_steps"}  # when a run is resumed
-DEFAULT_BUDGET = "6min"
+MAY_CHANGE = {"scene", "points", "judged_by", "title", "checkpoint_every", "checkpoint_steps"}  # on resuming
 NOT_REPEATED = {"out": None, "overwrite": False, "budget": None}  # a plan is repeated as it was made
 
 

@@ -41,8 +41,8 @@ class Photos:
     hold_out: HoldOutOption = None
     """Photos to score the scene on instead of training on them. "every:8": every 8th by name, from the middle
     of the first 8 ("every:8:1": from the 1st); "last" or "last:N": the last; LIST: names with commas, or a
-    .txt file with one a line; "none". By default those that the capture lists, else "every:8"; never the
-    first or the last."""
+    .txt file with one a line; "none". By default those that the capture lists, else "every:8", which never
+    holds out the first or the last; for create none, except in its trial run."""
     leave_out: Annotated[str | None, shown_as("{auto,none,LIST}")] = None
     """Photos not to train on. "auto", the default: those that are blurred compared with the rest, and those
     that repeat another; LIST: names with commas, or a .txt file."""
@@ -58,8 +58,8 @@ class Limits:
 
     budget: Annotated[str | None, shown_as("TIME")] = None
     """Training time limit, for example 30s, 5min or 1h. Steps and Gaussians are chosen to fit by the measured
-    speed of this machine; the run can be repeated exactly with --repeat. By default 6min, unless --steps or
-    another --recipe is given."""
+    speed of this machine; the run can be repeated exactly with --repeat. By default 6min, for create 10min,
+    unless --steps or another --recipe is given."""
     within: Annotated[str | None, shown_as("TIME")] = None
     """Time limit of the whole command, for example 10min, instead of --budget: loading, planning and writing
     the results count too."""

@@ -1,5 +1,6 @@
 """The pages of a run: progress.gif and report.html."""
 
+import os
 from collections.abc import Mapping, Sequence
 
 from splatax.evaluation import Scores
@@ -72,4 +73,8 @@ def notes(results: Results) -> list[str]:
         f"{'' if same_size else ', with smaller photos'}, which had not seen {unseen} of them and was "
         "compared with these. The scene itself had more time and more photos, so it is usually better."
     )
-    return [meaning, f"report of the trial run: {judge.folder / 'report.html'}", *results.dataset.notes]
+    return [
+        meaning,
+        f"report of the trial run: {os.path.relpath(judge.folder, results.out)}/report.html",
+        *results.dataset.notes,
+    ]

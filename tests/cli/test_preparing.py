@@ -14,7 +14,7 @@ from splatax.cli import preparing, train
 from splatax.cli.settings import Settings
 from splatax.dataset import PointCloud
 from splatax.inspection.decisions import Findings
-from splatax.io.datasets.point_files import read_points, write_points
+from splatax.io.datasets.points import read_points, write_points
 
 FOUND = PointCloud(np.tile(POINTS + [0, 0, 5], (4, 1)).astype(np.float32), np.full((120, 3), 0.2, np.float32))
 

@@ -12,10 +12,11 @@ import tyro
 import splatax as sx
 from splatax import backends
 from splatax.cli.output import say
+from splatax.dataset import resplit
 from splatax.errors import InputError
 from splatax.low_pass import LOW_PASSES
 from splatax.runs.other_programs import scene_at
-from splatax.splits import parse_hold_out
+from splatax.splits import Every, parse_hold_out
 from splatax.training.appearance import APPEARANCES
 from splatax.training.backgrounds import BACKGROUNDS
 from splatax.training.camera_refinement import CAMERA_REFINEMENTS
@@ -29,7 +30,7 @@ RefinementName = Literal[*CAMERA_REFINEMENTS]  # type: ignore[valid-type]
 LowPassName = Literal[*LOW_PASSES]  # type: ignore[valid-type]
 
 
-EARLIER_RULE = "every:8:1"  # of runs whose config.json names none
+OTHER_RULE = Every(first=1)  # of runs of other programs, and of runs from before there was a choice
 Value = TypeVar("Value")
 Split = Literal["test", "train", "all"]
 InitName = Literal["sfm", "random"]
@@ -150,14 +151,16 @@ def load_scene(
     chosen = downscale
     if chosen is None:
         chosen = options.get("downscale", "auto")
-    rule = hold_out or (options.get("hold_out", EARLIER_RULE) if options else None)
+    rule = hold_out or options.get("hold_out")
     if chosen != "auto" and int(chosen) < 1:
         raise InputError(f'--downscale: "auto" or a whole number from 1, not {chosen}.')
-    return sx.load_dataset(
+    dataset = sx.load_dataset(
         scene,
         downscale=None if chosen == "auto" else int(chosen),
         hold_out=None if rule is None else parsed("hold_out", rule, parse_hold_out),
     )
+    unsaid = rule is None and bool(options) and "hold_out" not in options
+    return resplit(dataset, OTHER_RULE) if unsaid and dataset.split == str(Every()) else dataset
 
 
 def resolve_backend(name: str) -> str:

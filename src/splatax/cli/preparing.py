@@ -12,7 +12,7 @@ from splatax.cli.stages import Stages
 from splatax.dataset import View, without
 from splatax.inspection.decisions import Findings, look_first
 from splatax.io.datasets.photos import counted, listed
-from splatax.io.datasets.point_files import read_points, write_points
+from splatax.io.datasets.points import read_points, write_points
 from splatax.reconstruction import triangulation
 from splatax.splits import Listed, listed_in
 from splatax.training.initialize import InFrusta, focus_distance

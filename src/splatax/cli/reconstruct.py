@@ -38,7 +38,7 @@ NAMED = 5  # photos that are named for each reason
 
 @dataclass(frozen=True)
 class FindingCameras:
-    """How camera poses are estimated."""
+    """Estimation of camera poses."""
 
     frames: Annotated[int, tyro.conf.arg(metavar="N")] = 200
     """Number of video frames to use: the sharpest in each interval."""

@@ -41,7 +41,7 @@ ROUNDS = 10
 
 @dataclass(frozen=True)
 class Findings:
-    """What a look at the photos of a capture has found.
+    """Findings of a look at the photos of a capture.
 
     Attributes:
         blurred: training photos that are blurred, compared with the rest, and can be spared.

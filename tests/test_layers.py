@@ -9,7 +9,7 @@ import splatax
 
 ROOT = Path(splatax.__file__).parent
 LAYERS = (  # lowest first; a package stands for all its modules
-    {"math", "errors", "packages", "shapes", "varying", "low_pass"},
+    {"math", "errors", "packages", "shapes", "splits", "varying", "low_pass"},
     {"gaussians", "splats", "cameras", "dataset", "resampling", "transforms"},
     {"projection", "losses", "metrics", "lpips", "io"},
     {"backends"},

@@ -52,6 +52,7 @@ SUBMODULES = {  # public name -> module here
     "metrics": "metrics",
     "recipes": "training.recipes",
     "reconstruction": "reconstruction",
+    "splits": "splits",
     "training": "training",
     "trajectories": "trajectories",
     "transforms": "transforms",
@@ -67,6 +68,7 @@ if TYPE_CHECKING:  # the same names, for type checkers and editors; tests/test_i
     from splatax import lpips as lpips
     from splatax import metrics as metrics
     from splatax import reconstruction as reconstruction
+    from splatax import splits as splits
     from splatax import training as training
     from splatax import trajectories as trajectories
     from splatax import transforms as transforms

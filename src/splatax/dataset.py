@@ -1,7 +1,7 @@
 """Records of a capture in memory: views with their cameras, and points. Nothing here reads files."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from splatax.cameras import Camera, rig
-from splatax.errors import DatasetError
+from splatax.errors import DatasetError, InputError
+from splatax.splits import Every, HoldOut
 
 Pixels = UInt8[np.ndarray, "_ _ 3"] | UInt8[np.ndarray, "_ _ 4"]
 Mask = Bool[np.ndarray, "_ _"]
@@ -93,6 +94,7 @@ class Dataset:
         notes: lines of text about the capture, for people to read.
         background: background for photos with alpha; None if the capture does not define it.
         survey: measurements of the loader beyond the views.
+        split: how the test views were chosen, in words; empty for the default rule.
     """
 
     train: tuple[View, ...]
@@ -101,6 +103,7 @@ class Dataset:
     notes: tuple[str, ...] = ()
     background: Literal["white"] | None = None
     survey: Survey = field(default_factory=Survey)
+    split: str = ""
 
     @property
     def views(self) -> tuple[View, ...]:
@@ -113,10 +116,45 @@ class Dataset:
         return rig.extent_of([view.camera for view in self.train], self.points.positions)
 
 
-def hold_out(views: list[View], every: int = 8) -> tuple[tuple[View, ...], tuple[View, ...]]:
-    """Splits views into (train, test): every 8th by name, from the first, is held out, but not a lone one."""
+def hold_out(views: Sequence[View], rule: HoldOut = Every()) -> tuple[tuple[View, ...], tuple[View, ...]]:
+    """Splits views into (train, test), both sorted by name.
+
+    Args:
+        views: views in any order.
+        rule: which to hold out.
+
+    Raises:
+        InputError: if the rule leaves no view to train on, or names a photo that is not there.
+    """
     ordered = sorted(views, key=lambda view: view.name)
-    if len(ordered) < 2:
-        return tuple(ordered), ()
-    test = tuple(ordered[::every])
-    return tuple(view for i, view in enumerate(ordered) if i % every), test
+    tested = set(rule.of([view.name for view in ordered]))
+    test = tuple(view for view in ordered if view.name in tested)
+    train = tuple(view for view in ordered if view.name not in tested)
+    if not train:
+        raise InputError(
+            f"Holding out {rule} leaves none of {len(ordered)} photos to train on. Hold out fewer.",
+            options=("hold_out",),
+        )
+    return train, test
+
+
+def resplit(dataset: Dataset, rule: HoldOut) -> Dataset:
+    """Returns a capture with other held-out views, chosen from all of its views.
+
+    Raises:
+        InputError: in the cases of `hold_out`.
+    """
+    train, test = hold_out(dataset.views, rule)
+    return replace(dataset, train=train, test=test, split=str(rule))
+
+
+def without(dataset: Dataset, names: Collection[str]) -> Dataset:
+    """Returns a capture without some of its training views.
+
+    Raises:
+        InputError: if none is left.
+    """
+    train = tuple(view for view in dataset.train if view.name not in names)
+    if not train:
+        raise InputError("No photo is left to train on. Leave out fewer.", options=("leave_out",))
+    return replace(dataset, train=train)

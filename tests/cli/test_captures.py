@@ -3,9 +3,8 @@
 import json
 
 import pytest
-from test_refusals import refused
 
-from captures import write_blender, write_llff, write_transforms, zipped
+from captures import write_blender, zipped
 from splatax import cli
 
 
@@ -35,11 +34,3 @@ def test_a_zip_of_blenders_photos_is_trained_scored_and_drawn_over_white(blender
 def test_another_background_may_be_asked_for(blender, tmp_path):
     config, _ = train(blender, tmp_path / "run", "--background", "black")
     assert config["options"]["background"] == "black"
-
-
-@pytest.mark.parametrize("write", [write_transforms, write_llff])
-def test_captures_without_points_name_the_way_out(write, tmp_path, capsys):
-    scene = write(tmp_path / "capture")
-    assert "--init random" in refused(capsys, "train", scene, "--out", tmp_path / "run")
-    train(scene, tmp_path / "run")
-    assert (tmp_path / "run" / "scene.ply").is_file()

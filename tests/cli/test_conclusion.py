@@ -8,10 +8,8 @@ import pytest
 from test_refusals import refused
 
 from splatax import cli
-from splatax.cli import train
 from splatax.report import training
 from splatax.runs import results, session
-from splatax.runs.budget import Plan
 from splatax.web import page
 
 STEPS = 6
@@ -112,13 +110,20 @@ def test_create_concludes_a_run_that_was_killed_while_its_results_were_written(
 ):
     (tmp_path / "viewer.js").touch()
     monkeypatch.setattr(page, "VIEWER", tmp_path / "viewer.js")
-    monkeypatch.setattr(train, "within", lambda *_: Plan(STEPS, 40))
-    command = ["create", str(capture), "--out", str(tmp_path / "out"), "--budget", "60s"]
+    command = ["create", str(capture), "--out", str(tmp_path / "out"), "--steps", str(STEPS)]
+    whole = training.report
+
+    def cut(title, *rest):
+        if title == "out":
+            raise PowerCut
+        return whole(title, *rest)
+
     with monkeypatch.context() as patch:
-        patch.setattr(training, "report", lambda *_: (_ for _ in ()).throw(PowerCut))
+        patch.setattr(training, "report", cut)
         with pytest.raises(PowerCut):
             cli.main(command)
     monkeypatch.setattr(session, "optimize", no_training)
     cli.main(command)
-    assert (tmp_path / "out" / "run" / "report.html").exists()
+    page_of_run = (tmp_path / "out" / "run" / "report.html").read_text()
+    assert "PSNR of 1 photos that a trial run had not seen" in page_of_run
     assert (tmp_path / "out" / "scene.html").exists()

@@ -1,8 +1,12 @@
 """`splatax create`, from photos or a capture to a page."""
 
+import json
+
 import pytest
 from test_refusals import refused
 
+import splatax as sx
+from captures import write_capture, write_transforms
 from splatax import cli
 from splatax.cli import create
 from splatax.web import page
@@ -16,19 +20,34 @@ def stub(tmp_path_factory, monkeypatch):
     monkeypatch.setattr(page, "VIEWER", path)
 
 
-@pytest.mark.slow
-def test_a_capture_becomes_a_page_within_a_budget_and_is_not_trained_twice(
+def test_all_photos_are_trained_on_and_the_score_is_of_photos_that_a_trial_had_not_seen(
     stub, capture, tmp_path, capsys, monkeypatch
 ):
     out = tmp_path / "out"
-    cli.main(["create", str(capture), "--out", str(out), "--budget", "3s"])
-    assert "<h1>out</h1>" in (out / "run" / "report.html").read_text()
+    command = ["create", str(capture), "--out", str(out), "--steps", "12", "--open"]
+    opened = []
+    monkeypatch.setattr(create.webbrowser, "open", opened.append)
+    cli.main(command)
+    told = capsys.readouterr().out
+    assert "trial run without 1 of 9 photos" in told
+    assert str(out / "scene.html") in told
+    assert opened == [(out / "scene.html").as_uri()]
+    trial, run = (json.loads((out / name / "metrics.json").read_text()) for name in ("trial", "run"))
+    assert (trial["steps"], run["steps"]) == (2, 12)
+    assert [view["name"] for view in trial["test"]["views"]] == ["photo04.png"]
+    assert run["test"] is None
+    assert run["judged_by"]["test"] == trial["test"]
+    report = (out / "run" / "report.html").read_text()
+    headline = f"<b>{trial['test']['psnr']:.2f} dB</b><span>PSNR of 1 photos that a trial run had not seen"
+    assert headline in report
+    assert report.index(headline) < report.index("PSNR of 9 photos that it was trained on")
+    assert "The scene was trained on all 9 photos." in report
+    assert "<h1>out</h1>" in report
     assert "<h1>out</h1>" in (out / "scene.html").read_text()
-    assert str(out / "scene.html") in capsys.readouterr().out
 
     (out / "scene.html").unlink()
     monkeypatch.setattr(create.Train, "run", lambda self: pytest.fail("trained again"))
-    cli.main(["create", str(capture), "--out", str(out), "--budget", "3s"])
+    cli.main(command)
     assert (out / "scene.html").exists()
 
 
@@ -48,11 +67,12 @@ def test_photos_that_are_not_there_are_refused(stub, tmp_path, capsys):
 
 
 @pytest.fixture
-def stages(stub, monkeypatch):
+def stages(stub, capture, monkeypatch):
     """Stages that take no time, and are listed when they come to an end; `stop` names one that does not."""
 
     class Stages(list):
-        stop = None
+        def __init__(self):
+            self.stop, self.runs = None, []
 
         def do(self, stage, *written):
             if stage == self.stop:
@@ -69,7 +89,13 @@ def stages(stub, monkeypatch):
         "run",
         lambda self: done.do("reconstruct", self.out / "sparse", self.out / "images"),
     )
-    monkeypatch.setattr(create.Train, "run", lambda self: done.do("train", self.out / "report.html"))
+    monkeypatch.setattr(create, "load_scene", lambda *_: sx.load_dataset(capture))
+
+    def train(self):
+        done.runs.append(self)
+        done.do("trial" if self.photos.hold_out is None else "train", self.out / "report.html")
+
+    monkeypatch.setattr(create.Train, "run", train)
     monkeypatch.setattr(create.Page, "run", lambda self: done.do("page", self.out))
     return done
 
@@ -80,7 +106,7 @@ def photos(tmp_path):
     return tmp_path / "photos"
 
 
-@pytest.mark.parametrize("stage", ["reconstruct", "train", "page"])
+@pytest.mark.parametrize("stage", ["reconstruct", "trial", "train", "page"])
 def test_stopped_in_any_stage_the_same_command_goes_on_with_it(stages, photos, tmp_path, capsys, stage):
     command = ["create", str(photos), "--out", str(tmp_path / "out")]
     stages.stop = stage
@@ -90,7 +116,7 @@ def test_stopped_in_any_stage_the_same_command_goes_on_with_it(stages, photos, t
     assert capsys.readouterr().err == "splatax: stopped. Run the same command again to resume\n"
     stages.stop = None
     cli.main(command)
-    assert stages == ["reconstruct", "train", "page"]
+    assert stages == ["reconstruct", "trial", "train", "page"]
     assert str(tmp_path / "out" / "scene.html") in capsys.readouterr().out
 
 
@@ -107,22 +133,86 @@ def test_what_was_made_of_other_photos_or_for_another_time_is_replaced_only_when
     command = ["create", photos, "--out", tmp_path / "out"]
     cli.main([*map(str, command), "--budget", "60s"])
     cli.main([*map(str, command), "--budget", "1min"])
-    assert stages == ["reconstruct", "train", "page", "page"]
+    assert stages == ["reconstruct", "trial", "train", "page", "page"]
     error = refused(capsys, *command, "--budget", "2min")
-    assert "60 s, not 120 s" in error
+    assert "made with --budget 1:00 min, not with --budget 2:00 min" in error
     assert f"splatax create {tmp_path / 'out' / 'capture'} --out OTHER" in error
     (tmp_path / "others").mkdir()
     error = refused(capsys, "create", tmp_path / "others", "--out", tmp_path / "out", "--budget", "60s")
     assert f"made from {photos}" in error
     del stages[:]
     cli.main([*map(str, command), "--budget", "2min", "--overwrite"])
+    assert stages == ["reconstruct", "trial", "train", "page"]
+
+
+def test_any_option_of_train_can_be_given(stages, photos, tmp_path, monkeypatch):
+    seen = []
+    monkeypatch.setattr(
+        create.Reconstruct, "run", lambda self: seen.append(self) or (self.out / "sparse").mkdir(parents=True)
+    )
+    options = (
+        "--frames 50 --downscale 2 --memory 4GB --recipe mcmc --steps 60 --seed 3 --view --leave-out none"
+    )
+    cli.main(["create", str(photos), "--out", str(tmp_path / "out"), *options.split()])
+    assert (seen[0].cameras.frames, seen[0].seed) == (50, 3)
+    trial, run = stages.runs
+    assert [each.limits.steps for each in stages.runs] == [10, 60]
+    assert {each.limits.downscale for each in stages.runs} == {2}
+    assert {each.method.recipe for each in stages.runs} == {"mcmc"}
+    assert {each.photos.leave_out for each in stages.runs} == {"none"}
+    assert (trial.live.view, run.live.view) == (False, True)
+    assert run.photos.judged_by == trial.out
+
+
+def test_the_time_of_training_is_shared_between_the_trial_and_the_scene(stages, photos, tmp_path):
+    cli.main(["create", str(photos), "--out", str(tmp_path / "a"), "--budget", "60s"])
+    assert [run.limits.budget for run in stages.runs] == ["10s", "50s"]
+    del stages.runs[:]
+    cli.main(["create", str(photos), "--out", str(tmp_path / "b"), "--within", "70s"])  # 10 s for the page
+    seconds = [float(run.limits.within.rstrip("s")) for run in stages.runs]
+    assert 5 <= seconds[0] <= 10
+    assert 5 * seconds[0] < seconds[1] <= 60
+
+
+def test_held_out_photos_of_ones_own_choice_make_a_trial_unnecessary(stages, photos, tmp_path):
+    cli.main(["create", str(photos), "--out", str(tmp_path / "out"), "--hold-out", "last"])
     assert stages == ["reconstruct", "train", "page"]
+    assert (stages.runs[0].photos.hold_out, stages.runs[0].limits.budget) == ("last", "600s")
+
+
+def test_a_capture_too_small_to_hold_photos_out_has_no_trial(stages, photos, tmp_path, monkeypatch, capsys):
+    small = write_capture(tmp_path / "small", count=4)
+    monkeypatch.setattr(create, "load_scene", lambda *_: sx.load_dataset(small))
+    cli.main(["create", str(photos), "--out", str(tmp_path / "out")])
+    assert stages == ["reconstruct", "train", "page"]
+    assert "4 photos are too few to hold some out, so the scene has no score" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("found", [True, False])
+def test_points_of_a_capture_without_any_are_looked_for_once(found, stages, photos, tmp_path, monkeypatch):
+    bare, asked = sx.load_dataset(write_transforms(tmp_path / "bare")), []
+
+    def found_points(capture, views, out, seed):
+        asked.append(len(views))
+        return out / "points.ply" if found else None
+
+    monkeypatch.setattr(create, "load_scene", lambda *_: bare)
+    monkeypatch.setattr(create, "found_points", found_points)
+    cli.main(["create", str(photos), "--out", str(tmp_path / "out")])
+    assert asked == [9]  # all photos, as COLMAP's points of a capture are from all of them
+    path = tmp_path / "out" / "points.ply"
+    assert {run.photos.points for run in stages.runs} == {path if found else None}
+    assert {run.method.init for run in stages.runs} == {None if found else "random"}
 
 
 def test_nothing_is_begun_that_cannot_end_well(stages, photos, tmp_path, capsys):
     out = tmp_path / "out"
     assert "--budget: a time such as" in refused(capsys, "create", photos, "--out", out, "--budget", "soon")
     assert "lies among the photos" in refused(capsys, "create", photos, "--out", photos / "out")
+    assert "--within: plans" in refused(
+        capsys, "create", photos, "--out", out, "--within", "9s", "--steps", 5
+    )
+    assert "--hold-out: " in refused(capsys, "create", photos, "--out", out, "--hold-out", "every:1")
     (tmp_path / "file").touch()
     assert "a file, not a folder" in refused(capsys, "create", photos, "--out", tmp_path / "file")
     assert not stages

@@ -5,7 +5,7 @@ import shutil
 import pytest
 from PIL import Image
 
-from captures import model_of, pinhole, write_capture
+from captures import write_capture
 from splatax import cli
 
 
@@ -19,14 +19,6 @@ def refused(capsys, *arguments) -> str:
     assert error.count("\n") == 1
     assert "Traceback" not in error
     return error
-
-
-def without_points(capture):
-    model = model_of([f"photo{i:02}.png" for i in range(9)], pinhole())
-    for point in list(model.points3D):
-        model.delete_point3D(point)
-    model.write_binary(capture / "sparse" / "0")
-    return "--init random"
 
 
 def without_model(capture):
@@ -57,7 +49,7 @@ def without_itself(capture):
 
 @pytest.mark.parametrize(
     "damage",
-    [without_itself, without_model, with_half_a_file, without_a_photo, with_a_cropped_photo, without_points],
+    [without_itself, without_model, with_half_a_file, without_a_photo, with_a_cropped_photo],
 )
 def test_a_broken_capture_is_refused_and_the_run_left_alone(damage, tmp_path, capsys):
     capture = write_capture(tmp_path / "capture")

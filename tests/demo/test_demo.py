@@ -24,7 +24,8 @@ def capture(tmp_path_factory):
 
 def test_the_capture_loads_as_any_other(capture):
     dataset = sx.load_dataset(capture)
-    assert f"{PHOTOS} of {PHOTOS} photos registered, 3 held out for testing" in dataset.notes
+    assert f"{PHOTOS} of {PHOTOS} photos registered" in dataset.notes
+    assert [view.name for view in dataset.test] == ["view00.png", "view08.png", "view16.png"]
     assert "median reprojection error 0.00 px" in " ".join(dataset.notes)
     assert dataset.views[0].pixels().shape == (120, 160, 3)
 

@@ -134,8 +134,8 @@ def test_inverted_masks_are_suspected(capture):
 def test_captures_without_points_are_told_how_to_start(tmp_path):
     found = problems(write_transforms(tmp_path / "capture"))
     (fix,) = (p.fix for p in found if p.what == "There are no points to start from.")
-    assert "init random of splatax train" in fix
-    assert "InFrusta()" in fix
+    assert "splatax train finds some in the photos" in fix
+    assert "reconstruction.triangulated" in fix
 
 
 def test_memory_that_is_not_there_is_an_error(capture, monkeypatch):
@@ -185,7 +185,7 @@ def test_time_is_forecast_for_all_steps_of_the_default_recipe(capture, monkeypat
     found = replace(examine(capture, dataset), seconds=seconds_to_train(dataset, 384))
     assert found.seconds == pytest.approx(HEAVIER * 10 * 30_000)
     (said,) = (value for label, value in facts_of(found) if label == "time to train")
-    assert said.startswith("about 120.8 hours for all 30,000 steps of the default recipe")
+    assert said.startswith("6min by default; about 120.8 hours for 30,000 steps of the default recipe")
 
 
 def test_times_are_told_roughly():

@@ -13,7 +13,8 @@ from PIL import Image
 
 import splatax as sx
 from captures import POINTS, SIZE, model_of, pinhole, radial, write_capture
-from splatax.errors import DatasetError
+from splatax.errors import DatasetError, InputError
+from splatax.splits import Last, Listed, Nothing
 
 
 @pytest.fixture
@@ -22,7 +23,7 @@ def capture(tmp_path):
 
 
 def test_a_known_point_projects_to_its_known_pixel(capture):
-    view = sx.load_dataset(capture).train[0]
+    view = sx.load_dataset(capture).views[1]
     rotation = pycolmap.Rotation3d(np.array([0, 0.04, 0, 1]) / np.hypot(0.04, 1)).matrix()
     x, y, z = rotation @ (POINTS[3] + [0, 0, 5]) + [0.2, 0, 0]
     expected = [60 * x / z + 30, 61 * y / z + 25]
@@ -31,16 +32,45 @@ def test_a_known_point_projects_to_its_known_pixel(capture):
     assert_allclose(view.camera.to_pixel(view.camera.to_camera(point)), expected, rtol=1e-5)
 
 
-def test_every_eighth_photo_by_name_is_held_out(capture):
+def test_every_eighth_photo_by_name_is_held_out_but_neither_the_first_nor_the_last(capture):
+    dataset = sx.load_dataset(capture)
+    assert [view.name for view in dataset.test] == ["photo04.png"]
+    assert len(dataset.train) == 8
+
+
+@pytest.mark.parametrize("place", ["test.txt", "sparse/0/test.txt"])
+def test_a_list_of_test_photos_in_the_capture_is_kept_to(capture, place):
+    (capture / place).write_text("photo08.png\nphoto00\nphoto without a pose.png\n")
     dataset = sx.load_dataset(capture)
     assert [view.name for view in dataset.test] == ["photo00.png", "photo08.png"]
-    assert len(dataset.train) == 7
+    assert "2 of 9 photos held out for testing: the photos that test.txt names" in dataset.notes
+    refused = capture / place
+    refused.write_text("shopping list")
+    refuse(capture, match="names none of the photos with a pose", names="test.txt")
+
+
+def test_the_photos_to_hold_out_can_be_chosen(capture):
+    (capture / "test.txt").write_text("photo08.png\n")
+    dataset = sx.load_dataset(capture, hold_out=Nothing())
+    assert not dataset.test
+    assert len(dataset.train) == 9
+    assert dataset.notes[-1] == "no photo is held out, so all are trained on"
+    with pytest.raises(InputError, match=r"^the list names photo99, but the capture has no such photo"):
+        sx.load_dataset(capture, hold_out=Listed(("photo01", "photo99")))
+    with pytest.raises(InputError, match="leaves none of 9 photos to train on"):
+        sx.load_dataset(capture, hold_out=Last(9))
+
+
+def test_a_capture_too_small_to_hold_photos_out_says_so(tmp_path):
+    dataset = sx.load_dataset(write_capture(tmp_path / "capture", count=5))
+    assert not dataset.test
+    assert dataset.notes[-1] == "no photo is held out: 5 photos are too few, so all are trained on"
 
 
 def test_notes_tell_what_was_found(capture):
     (capture / "images" / "unused.jpg").write_bytes((capture / "images" / "photo00.png").read_bytes())
     notes = " / ".join(sx.load_dataset(capture).notes)
-    assert "9 of 10 photos registered, 2 held out" in notes
+    assert "9 of 10 photos registered" in notes
     assert "30 points; photos 64 x 48 from images/" in notes
     assert "median reprojection error 0.00 px (270 observations)" in notes
 
@@ -115,7 +145,7 @@ def test_alpha_is_kept_and_weighs_colour_when_shrinking(tmp_path):
     pixels = np.zeros((48, 64, 4), np.uint8)
     pixels[:, ::2] = (200, 100, 50, 255)  # opaque, beside transparent black
     Image.fromarray(pixels).save(capture / "images" / "photo01.png")
-    shrunk = sx.load_dataset(capture, downscale=2).train[0].pixels()
+    shrunk = sx.load_dataset(capture, downscale=2).views[1].pixels()
     assert_array_equal(shrunk[5, 5], [200, 100, 50, 128])
 
 
@@ -131,7 +161,7 @@ def test_distorted_photos_become_a_pinholes(tmp_path):
         canvas[..., channel] = 255 * np.exp(-((x - mx) ** 2 + (y - my) ** 2) / 8)
     Image.fromarray(canvas.astype(np.uint8)).save(capture / "images" / "photo01.png")
 
-    view = sx.load_dataset(capture).train[0]
+    view = sx.load_dataset(capture).views[1]
     pixels = view.pixels().astype(np.float64)
     assert pixels.shape[:2] == (view.camera.height, view.camera.width)
     y, x = np.mgrid[: pixels.shape[0], : pixels.shape[1]] + 0.5
@@ -158,7 +188,7 @@ def test_no_lens_that_bends_lines_passes_for_a_pinhole(model, params, tmp_path):
     photo = np.zeros((48, 64, 3), np.uint8)
     photo[:10] = 255  # a straight edge, well away from the centre
     Image.fromarray(photo).save(capture / "images" / "photo01.png")
-    (view,) = sx.load_dataset(capture).train
+    _, view = sx.load_dataset(capture).train
     heights = view.pixels()[..., 0].sum(axis=0, dtype=np.float64) / 255  # of white, pixels
     assert np.ptp(heights) > 0.5
 
@@ -250,7 +280,9 @@ def test_no_points_is_refused_by_the_start_that_needs_them(tmp_path):
     model.delete_all_points2D_and_points3D()
     model.write_binary(capture / "sparse" / "0")
     dataset = sx.load_dataset(capture)
-    with pytest.raises(DatasetError, match=r"no points to start from. Start from random Gaussians"):
+    with pytest.raises(
+        DatasetError, match=r"no points to start from. Find some: .* Or start from random Gaussians"
+    ):
         next(sx.optimize(dataset, sx.Recipe(steps=1)))
 
 

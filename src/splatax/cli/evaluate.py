@@ -13,6 +13,7 @@ from splatax.cli.options import (
     BackendName,
     BackgroundOption,
     DownscaleOption,
+    HoldOutOption,
     LowPassOption,
     PathOption,
     Split,
@@ -44,7 +45,10 @@ class Evaluate:
     scene: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")]
     """Folder of the capture, or a zip file of it."""
     split: Split = "test"
-    """Photos to score. Every 8th photo by name is held out for testing."""
+    """Photos to score: those that were held out from training, the others, or all."""
+    hold_out: HoldOutOption = None
+    """Held-out photos, as for splatax train. By default as in training, else as the capture lists, else every
+    8th by name from the 5th."""
     out: PathOption = None
     """JSON file for the scores. By default eval.json beside the model."""
     lpips: PathOption = None
@@ -62,7 +66,7 @@ class Evaluate:
     def run(self) -> None:
         perceptual = lpips.read(self.lpips) if self.lpips else None
         model = read_model(self.model, self.low_pass)
-        dataset = load_scene(self.scene, self.downscale, model)
+        dataset = load_scene(self.scene, self.downscale, model, self.hold_out)
         background = background_of(model.options, self.background)
         views = views_of(dataset, self.split, self.scene)
         scores = sx.evaluate(
@@ -71,7 +75,7 @@ class Evaluate:
             renderer=sx.Renderer(background, backend=resolve_backend(self.backend)),
             lpips=perceptual,
         )
-        how = protocol(background) | ({"lpips": perceptual.protocol} if perceptual else {})
+        how = protocol(background, dataset) | ({"lpips": perceptual.protocol} if perceptual else {})
         show(table_of(scores))
         say(f"worst   {scores.worst.name}, {scores.worst.psnr:.3f} dB")
         masked = sum(view.mask is not None for view in views)
@@ -106,5 +110,5 @@ def views_of(dataset: sx.Dataset, split: str, scene: Path) -> tuple[sx.View, ...
     """
     views = {"test": dataset.test, "train": dataset.train, "all": dataset.views}[split]
     if not views:
-        raise InputError(f"{scene}: a single photo, so none is held out. Ask for --split train.")
+        raise InputError(f"{scene}: no photo is held out. Ask for --split train.")
     return views

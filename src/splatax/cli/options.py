@@ -12,9 +12,11 @@ import tyro
 import splatax as sx
 from splatax import backends
 from splatax.cli.output import say
+from splatax.dataset import resplit
 from splatax.errors import InputError
 from splatax.low_pass import LOW_PASSES
 from splatax.runs.other_programs import scene_at
+from splatax.splits import Every, parse_hold_out
 from splatax.training.appearance import APPEARANCES
 from splatax.training.backgrounds import BACKGROUNDS
 from splatax.training.camera_refinement import CAMERA_REFINEMENTS
@@ -23,11 +25,12 @@ from splatax.training.recipes import PRESETS
 Downscale = Literal["auto"] | int
 BackendName = Literal["auto", *backends.BACKENDS]  # type: ignore[valid-type]
 BackgroundName = Literal[*BACKGROUNDS]  # type: ignore[valid-type]
-AppearanceName = Literal[*APPEARANCES]  # type: ignore[valid-type]
+AppearanceName = Literal["auto", *APPEARANCES]  # type: ignore[valid-type]
 RefinementName = Literal[*CAMERA_REFINEMENTS]  # type: ignore[valid-type]
 LowPassName = Literal[*LOW_PASSES]  # type: ignore[valid-type]
 
 
+OTHER_RULE = Every(first=1)  # of runs of other programs, and of runs from before there was a choice
 Value = TypeVar("Value")
 Split = Literal["test", "train", "all"]
 InitName = Literal["sfm", "random"]
@@ -45,6 +48,7 @@ LowPassOption = Annotated[LowPassName | None, shown_as()]
 DownscaleOption = Annotated[Downscale | None, shown_as("{auto,N}")]
 PathOption = Annotated[Path | None, shown_as("PATH")]
 FolderOption = Annotated[Path | None, shown_as("FOLDER")]
+HoldOutOption = Annotated[str | None, shown_as("{every:N,last,LIST,none}")]
 TextOption = Annotated[str | None, shown_as("TEXT")]
 
 
@@ -135,14 +139,28 @@ def scene_of(model: Model) -> Path | None:
     return Path(scene) if scene and Path(scene).is_dir() else None
 
 
-def load_scene(scene: Path, downscale: Downscale | None, model: Model | None = None) -> sx.Dataset:
-    """Loads a capture, by default at the size that a model was trained at."""
+def load_scene(
+    scene: Path, downscale: Downscale | None, model: Model | None = None, hold_out: str | None = None
+) -> sx.Dataset:
+    """Loads a capture, by default with the size and the held-out photos that a model was trained with.
+
+    Raises:
+        InputError: if an option makes no sense for the capture.
+    """
+    options = model.options if model else {}
     chosen = downscale
     if chosen is None:
-        chosen = model.options.get("downscale", "auto") if model else "auto"
+        chosen = options.get("downscale", "auto")
+    rule = hold_out or options.get("hold_out")
     if chosen != "auto" and int(chosen) < 1:
         raise InputError(f'--downscale: "auto" or a whole number from 1, not {chosen}.')
-    return sx.load_dataset(scene, downscale=None if chosen == "auto" else int(chosen))
+    dataset = sx.load_dataset(
+        scene,
+        downscale=None if chosen == "auto" else int(chosen),
+        hold_out=None if rule is None else parsed("hold_out", rule, parse_hold_out),
+    )
+    unsaid = rule is None and bool(options) and "hold_out" not in options
+    return resplit(dataset, OTHER_RULE) if unsaid and dataset.split == str(Every()) else dataset
 
 
 def resolve_backend(name: str) -> str:

@@ -7,15 +7,13 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from splatax.cli.display import PLAIN_SECONDS
 from splatax.cli.interruption import resumable
 from splatax.cli.options import OverwriteFlag
 from splatax.cli.output import say
+from splatax.cli.stages import Stages
 from splatax.errors import InputError
-from splatax.reconstruction import Outcome, pipeline, reconstruct
+from splatax.reconstruction import Outcome, forecast, pipeline, reconstruct
 from splatax.reconstruction.mapping import Features
 from splatax.reconstruction.pairs import Exhaustive, Pairing, Sequential, Similar
 from splatax.reconstruction.work import clear
@@ -39,6 +37,25 @@ NAMED = 5  # photos that are named for each reason
 
 
 @dataclass(frozen=True)
+class FindingCameras:
+    """Estimation of camera poses."""
+
+    frames: Annotated[int, tyro.conf.arg(metavar="N")] = 200
+    """Number of video frames to use: the sharpest in each interval."""
+    matching: PairingName = "auto"
+    """Pairs of photos to match: all ("exhaustive"), visually similar ones, or consecutive ones. "auto": all
+    pairs of up to 80 photos, similar pairs of more, consecutive frames of a video."""
+    detail: DetailName = "auto"
+    """Effort to find features. "high": takes about four times as long and finds more. "auto": normal, but
+    also small features when there are 30 photos or fewer."""
+
+    def check(self) -> None:
+        """Raises InputError if a value makes no sense."""
+        if self.frames < pipeline.FEWEST:
+            raise InputError(f"--frames: at least {pipeline.FEWEST}, not {self.frames}.")
+
+
+@dataclass(frozen=True)
 class Reconstruct:
     """Estimate the camera poses of photos or of a video, and write a capture to train on.
 
@@ -50,39 +67,53 @@ class Reconstruct:
     """Folder of photos, or a video."""
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     """Output folder for the capture."""
-    frames: Annotated[int, tyro.conf.arg(metavar="N")] = 200
-    """Number of video frames to use: the sharpest in each interval."""
-    matching: PairingName = "auto"
-    """Pairs of photos to match: all ("exhaustive"), visually similar ones, or consecutive ones. "auto": all
-    pairs of up to 80 photos, similar pairs of more, consecutive frames of a video."""
-    detail: DetailName = "auto"
-    """Effort to find features. "high": takes about four times as long and finds more. "auto": normal, but
-    also small features when there are 30 photos or fewer."""
+    cameras: FindingCameras = FindingCameras()
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0
     """Random seed."""
     overwrite: OverwriteFlag = False
     """Start over and replace the results of an earlier call in the output folder."""
 
     def run(self) -> None:
-        if self.frames < pipeline.FEWEST:
-            raise InputError(f"--frames: at least {pipeline.FEWEST}, not {self.frames}.")
+        self.cameras.check()
         began = time.monotonic()
-        with claimed(self.out), resumable(), Stages() as stages:
+        with claimed(self.out), resumable(), Stages(pipeline.STAGES) as stages:
             if self.overwrite:
                 clear(self.photos, self.out)
             outcome = reconstruct(
                 self.photos,
                 self.out,
-                frames=self.frames,
-                features=DETAILS[self.detail],
-                pairing=PAIRINGS[self.matching],
+                frames=self.cameras.frames,
+                features=DETAILS[self.cameras.detail],
+                pairing=PAIRINGS[self.cameras.matching],
                 seed=self.seed,
-                watch=stages.show,
+                watch=Forecasting(stages, self.photos, self.cameras),
             )
         for line in told(outcome):
             say(line)
         say(f"capture {self.out}, after {duration(time.monotonic() - began)}")
         say(f"check it: splatax inspect {self.out}      train on it: splatax train {self.out}")
+
+
+class Forecasting:
+    """Shows the progress of a reconstruction, and forecasts its end once the first photos have features."""
+
+    def __init__(self, stages: Stages, source: Path, cameras: FindingCameras):
+        self.stages, self.source, self.cameras = stages, source, cameras
+        self._first: tuple[int, float] | None = None
+        self._told = False
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        self.stages.show(stage, done, total)
+        if stage != "features" or self._told:
+            return
+        if self._first is None:
+            self._first = done, time.monotonic()
+        elif done > self._first[0]:
+            self._told = True
+            each = (time.monotonic() - self._first[1]) / (done - self._first[0])
+            pairing = PAIRINGS[self.cameras.matching] or pipeline.pairing_for(self.source, total)
+            left = duration(forecast.seconds_left(each, done, total, pairing))
+            self.stages.note(f"the cameras of {total:,} photos take about {left} more")
 
 
 def told(outcome: Outcome) -> list[str]:
@@ -97,42 +128,3 @@ def told(outcome: Outcome) -> list[str]:
         more = f" and {number - NAMED} more" if number > NAMED else ""
         lines.append(f"not registered: {', '.join(names[:NAMED])}{more}: {reason}")
     return lines
-
-
-class Stages:
-    """Progress of the stages: bars on a terminal, lines elsewhere. A context manager."""
-
-    def __init__(self, console: Console | None = None):
-        self.console = console or Console()
-        self._bars = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(bar_width=None),
-            MofNCompleteColumn(),
-            TimeRemainingColumn(elapsed_when_finished=True),
-            console=self.console,
-            disable=not self.console.is_terminal,
-            expand=True,
-        )
-        self._tasks: dict[str, object] = {}
-        self._printed = 0.0
-
-    def __enter__(self) -> "Stages":
-        self._bars.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bars.stop()
-
-    def show(self, stage: str, done: int, total: int) -> None:
-        """Shows the progress of a stage; on a terminal with the remaining time."""
-        new = stage not in self._tasks
-        if new:
-            number = pipeline.STAGES.index(stage) + 1
-            label = f"{number}/{len(pipeline.STAGES)} {stage}"
-            self._tasks[stage] = self._bars.add_task(label, total=total)
-        self._bars.update(self._tasks[stage], completed=done, total=total)  # type: ignore[arg-type]
-        if self.console.is_terminal:
-            return
-        if new or time.monotonic() - self._printed > PLAIN_SECONDS:
-            self._printed = time.monotonic()
-            self.console.print(f"{stage}: {done:,} of {total:,}")

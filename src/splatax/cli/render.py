@@ -65,7 +65,7 @@ class Render:
     depth: Annotated[bool, shown_as()] = False
     """Video: show depth beside color."""
     split: Split = "test"
-    """Images: cameras to render from. Every 8th photo by name is held out for testing."""
+    """Images: cameras to render from. "test": those of the photos that were held out from training."""
     downscale: DownscaleOption = None
     """Divide the width and height of images by this number. "auto": the smallest factor that brings the long
     side down to 1600 pixels. By default as in training, else "auto"."""

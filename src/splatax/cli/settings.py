@@ -23,6 +23,7 @@ from splatax.errors import InputError
 from splatax.low_pass import LOW_PASSES
 from splatax.runs.budget import parse_bytes, parse_seconds
 from splatax.runs.records import typed_fields
+from splatax.splits import is_list, listed_in, parse_hold_out
 from splatax.training.appearance import APPEARANCES
 from splatax.training.backgrounds import BACKGROUNDS
 from splatax.training.camera_refinement import CAMERA_REFINEMENTS
@@ -52,11 +53,15 @@ class Settings:
     steps: int = 30_000
     max_gaussians: Literal["auto"] | int = "auto"
     downscale: Downscale = "auto"
+    hold_out: str | None = None
+    leave_out: str = "auto"
+    points: Path | None = None
+    judged_by: Path | None = None
     recipe: RecipeName = "default"
     init: InitName = "sfm"
     background: BackgroundName | None = None
     low_pass: LowPassName = "dilation"
-    appearance: AppearanceName = "none"
+    appearance: AppearanceName = "auto"
     refine: RefinementName = "none"
     backend: BackendName = "auto"
     seed: int = 0
@@ -83,6 +88,23 @@ class Settings:
         for name, read in (("budget", parse_seconds), ("memory", parse_bytes)):
             if (text := getattr(self, name)) is not None:
                 parsed(name, text, read)
+        if self.hold_out is not None:
+            parsed("hold_out", self.hold_out, parse_hold_out)
+
+    def absolute(self) -> "Settings":
+        """Returns the settings with absolute paths of input files: a run may be resumed from elsewhere."""
+        hold_out = self.hold_out
+        if hold_out and is_list(hold_out):
+            hold_out = str(Path(hold_out).absolute())
+        leave_out = "".join(f"{name}\n" for name in listed_in(self.leave_out))
+        return replace(
+            self,
+            scene=self.scene and self.scene.absolute(),
+            hold_out=hold_out,
+            leave_out=self.leave_out if self.leave_out in ("auto", "none") else leave_out,
+            points=self.points and self.points.absolute(),
+            judged_by=self.judged_by and self.judged_by.absolute(),
+        )
 
     def most(self, dataset: sx.Dataset) -> int:
         """Returns the upper limit of the number of Gaussians, apart from memory."""
@@ -103,7 +125,7 @@ class Settings:
             recipe,
             initialization=self.initialization(),
             background=BACKGROUNDS[self.background] if self.background else recipe.background,
-            appearance=APPEARANCES[self.appearance],
+            appearance=APPEARANCES["none" if self.appearance == "auto" else self.appearance],
             camera_refinement=CAMERA_REFINEMENTS[self.refine],
             low_pass=LOW_PASSES[self.low_pass],
             backend=resolve_backend(self.backend),

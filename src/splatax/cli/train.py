@@ -1,5 +1,6 @@
 """`splatax train`: from a capture to a scene."""
 
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, replace
@@ -11,20 +12,21 @@ import tyro
 import splatax as sx
 from splatax.cli.display import Display
 from splatax.cli.interruption import Interruption
-from splatax.cli.options import flag, given, load_scene, shown_as
+from splatax.cli.options import flag, given, parsed, shown_as
 from splatax.cli.output import complain, say
+from splatax.cli.preparing import loaded, prepared
 from splatax.cli.settings import NAMES, Settings, as_started
-from splatax.cli.train_options import Limits, Live, Method, Rerun, Saving
+from splatax.cli.train_options import Limits, Live, Method, Photos, Rerun, Saving
 from splatax.cli.view import audience
 from splatax.errors import InputError
 from splatax.io.datasets.colmap_writing import PLACE
 from splatax.report.training import pages
-from splatax.runs.budget import Changes, Clock, Plan, duration, measured, plan
+from splatax.runs.budget import DEFAULT_BUDGET, Changes, Clock, duration, measured, parse_seconds, plan
 from splatax.runs.checkpoints import Checkpoints
 from splatax.runs.claim import claimed_for_run
-from splatax.runs.finished import finished
+from splatax.runs.finished import finished, read_runs
 from splatax.runs.history import History
-from splatax.runs.planning import Room, gigabytes, room_within, smaller_photos
+from splatax.runs.planning import Deadline, Room, gigabytes, room_within, smaller_photos
 from splatax.runs.records import understood
 from splatax.runs.results import Results, conclude
 from splatax.runs.resume import OTHER, Earlier, facts, find
@@ -32,7 +34,7 @@ from splatax.runs.session import Session, all_made
 from splatax.training.loop import RunState
 from splatax.training.recipes import PRESETS
 
-MAY_CHANGE = {"scene", "title", "checkpoint_every", "checkpoint_steps"}  # when a run is resumed
+MAY_CHANGE = {"scene", "points", "judged_by", "title", "checkpoint_every", "checkpoint_steps"}  # on resuming
 NOT_REPEATED = {"out": None, "overwrite": False, "budget": None}  # a plan is repeated as it was made
 
 
@@ -54,6 +56,7 @@ class Train:
     """Title of the report. By default the name of the capture's folder."""
     overwrite: Annotated[bool, shown_as()] = False
     """Replace the results of an earlier run in the output folder."""
+    photos: Photos = Photos()
     limits: Limits = Limits()
     method: Method = Method()
     saving: Saving = Saving()
@@ -61,12 +64,17 @@ class Train:
     live: Live = Live()
 
     def run(self) -> None:
+        began = time.monotonic()
         chosen = {name: value for name, value in given(self).items() if name in NAMES}
+        if self.limits.within is not None and (self.rerun.resume or self.rerun.repeat):
+            raise InputError(
+                "--within: a run that goes on or is repeated makes the steps that it has. Leave it out."
+            )
         if self.rerun.resume is not None:
             earlier = find(self.rerun.resume)
             with understood(earlier.path, OTHER):
                 settings = as_started(earlier.options, chosen, MAY_CHANGE)
-            self.train(settings, earlier.history, earlier)
+            self.train(settings, earlier.history, earlier=earlier)
         elif self.rerun.repeat is not None:
             stored, made = finished(self.rerun.repeat, NAMES)
             with understood(self.rerun.repeat, "Repeat another run."):
@@ -74,42 +82,75 @@ class Train:
                 settings = as_started(stored | NOT_REPEATED, chosen, free)
             self.train(settings, History(changes=made))
         else:
-            settings = Settings(**chosen)
-            self.refuse_what_a_budget_decides(settings)
-            self.train(settings, History())
+            settings, deadline = self.limited(Settings(**chosen), began)
+            self.train(settings, History(), deadline)
 
-    def refuse_what_a_budget_decides(self, settings: Settings) -> None:
-        """Raises InputError if a budget has nothing left to plan."""
-        if settings.budget is None:
-            return
-        if not PRESETS[settings.recipe].plannable or self.limits.steps is not None:
-            plannable = " or ".join(name for name, preset in PRESETS.items() if preset.plannable)
-            raise InputError(
-                f"--budget: plans the steps of the recipe {plannable}. Leave out --recipe and --steps."
+    def limited(self, settings: Settings, began: float) -> tuple[Settings, Deadline | None]:
+        """Returns settings with a time budget unless a number of steps is given, and the command's deadline.
+
+        Args:
+            settings: as given.
+            began: time at which the command began, of the monotonic clock.
+
+        Raises:
+            InputError: if a budget has nothing left to plan.
+        """
+        name = "within" if self.limits.within is not None else "budget"
+        plannable = PRESETS[settings.recipe].plannable and self.limits.steps is None
+        if settings.budget is None and self.limits.within is None:
+            if not plannable:
+                return settings, None
+            say(
+                f"training for {DEFAULT_BUDGET}. Choose another time: --budget, or a number of steps: --steps"
             )
+            return replace(settings, budget=DEFAULT_BUDGET), None
+        if not plannable:
+            recipes = " or ".join(name for name, preset in PRESETS.items() if preset.plannable)
+            raise InputError(
+                f"{flag(name)}: plans the steps of the recipe {recipes}. Leave out --recipe and --steps."
+            )
+        if self.limits.within is None:
+            return settings, None
+        if settings.budget is not None:
+            raise InputError("--within: limits the whole command, --budget the training. Give one of them.")
+        seconds = parsed("within", self.limits.within, parse_seconds)
+        return replace(settings, budget=f"{seconds:g}s"), Deadline(began + seconds)
 
-    def train(self, settings: Settings, history: History, earlier: Earlier | None = None) -> None:
+    def train(
+        self,
+        settings: Settings,
+        history: History,
+        deadline: Deadline | None = None,
+        earlier: Earlier | None = None,
+    ) -> None:
         """Trains, from the beginning or from a checkpoint, and writes the results.
 
         Args:
             settings: of the run.
             history: record of the run until now.
+            deadline: of the whole command; None if only training is limited.
             earlier: the run to resume.
         """
         settings.check()
         if settings.scene is None:
             raise InputError("Which capture? Name its folder, or a run to resume: --resume RUN.")
-        scene = settings.scene.absolute()  # a run may be resumed from another folder
-        dataset = load_capture(settings)
-        out = earlier.run if earlier else settings.out or Path("runs") / scene.resolve().name
+        settings = settings.absolute()
+        assert settings.scene
+        judge = read_runs([settings.judged_by])[0] if settings.judged_by else None
+        dataset = loaded(settings)
+        for note in dataset.notes:
+            say(note)
+        title = settings.title or settings.scene.resolve().name
+        out = earlier.run if earlier else settings.out or Path("runs") / settings.scene.resolve().name
         with claimed_for_run(out, settings.overwrite or earlier is not None):
-            background = settings.background or dataset.background
-            settings = replace(settings, scene=scene, background=background)
+            if not earlier and self.rerun.repeat is None:
+                settings, dataset = prepared(settings, dataset, out)
+            settings = replace(settings, background=settings.background or dataset.background)
             room = room_within(settings.memory_bytes, dataset, settings.initialization().number(dataset))
             if settings.memory_bytes:
                 say(f"within {gigabytes(settings.memory_bytes)}: {room}")
             if earlier is None:
-                settings, dataset = planned(settings, dataset, room)
+                settings, dataset = planned(settings, dataset, room, deadline)
             recipe = settings.to_recipe(dataset)
             checkpoints = Checkpoints(
                 out,
@@ -129,9 +170,9 @@ class Train:
             )
             with checkpoints:
                 last = self.steps(session, earlier.state(recipe, dataset) if earlier else None)
-                title = settings.title or scene.resolve().name
+                results = Results(title, dataset, recipe, history, last, asdict(settings), out, judge)
                 with told_how_to_finish(out):
-                    write(Results(title, dataset, recipe, history, last, asdict(settings), out), checkpoints)
+                    write(results, checkpoints)
             if history.interrupted:
                 say(f"stopped at step {history.steps:,}. Resume it: splatax train --resume {out}")
 
@@ -166,23 +207,6 @@ class Train:
         return session.last
 
 
-def load_capture(settings: Settings) -> sx.Dataset:
-    """Loads the capture to train on, and prints what is noteworthy about it.
-
-    Raises:
-        InputError: if it has no points to start from.
-    """
-    assert settings.scene
-    dataset = load_scene(settings.scene, settings.downscale)
-    for note in dataset.notes:
-        say(note)
-    if settings.init == "sfm" and not len(dataset.points):
-        raise InputError(
-            f"{settings.scene}: the capture has no points to start from. Start at random: --init random."
-        )
-    return dataset
-
-
 def pace(settings: Settings, history: History) -> Changes:
     """Returns what may change the number of steps during the run."""
     if settings.seconds is None:
@@ -190,15 +214,22 @@ def pace(settings: Settings, history: History) -> Changes:
     return Clock(history.changes, settings.seconds, (history.steps, history.train_seconds))
 
 
-def planned(settings: Settings, dataset: sx.Dataset, room: Room) -> tuple[Settings, sx.Dataset]:
+def planned(
+    settings: Settings, dataset: sx.Dataset, room: Room, deadline: Deadline | None = None
+) -> tuple[Settings, sx.Dataset]:
     """Returns settings and capture so that they fit into the budget and the memory.
 
     The numbers of steps and Gaussians change, and for short budgets the size of photos.
 
+    Args:
+        settings: of the run.
+        dataset: the capture.
+        room: the memory of the run.
+        deadline: of the whole command; the budget becomes what is left until then.
+
     Raises:
         InputError: if more Gaussians are asked for than there is room for.
     """
-    assert settings.scene
     asked = None if settings.max_gaussians == "auto" else settings.max_gaussians
     if asked and asked > room.gaussians:
         raise InputError(
@@ -209,38 +240,26 @@ def planned(settings: Settings, dataset: sx.Dataset, room: Room) -> tuple[Settin
     fit = int(min(most, room.gaussians))
     if settings.seconds is None:
         return (settings if fit == most else replace(settings, max_gaussians=fit)), dataset
-    chosen = within(settings, dataset, fit, asked)
-    smaller = None
-    if settings.downscale == "auto":
-        scene = settings.scene
-        smaller = smaller_photos(lambda divisor: load_scene(scene, divisor), dataset, chosen.steps)
-    if smaller is None:
-        return replace(settings, steps=chosen.steps, max_gaussians=chosen.max_gaussians), dataset
-    downscale, dataset = smaller
-    say(f"too few steps for photos of this size: --downscale {downscale}")
-    return planned(replace(settings, downscale=downscale), dataset, room)
-
-
-def within(settings: Settings, dataset: sx.Dataset, room: int, asked: int | None) -> Plan:
-    """Plans the numbers of steps and Gaussians for the budget, and prints them.
-
-    Args:
-        settings: with a budget.
-        dataset: the capture.
-        room: upper limit of the number of Gaussians.
-        asked: the number of Gaussians; None to choose it.
-    """
-    assert settings.seconds
     say("measuring the speed of this machine ...")
     camera, recipe = dataset.train[0].camera, settings.to_recipe(dataset)
     costs = measured((camera.width, camera.height), recipe)
-    chosen = plan(costs, settings.seconds, recipe.initialization.number(dataset), room, asked)
+    if deadline:
+        settings = replace(settings, budget=f"{deadline.left(dataset):.0f}s")
+    assert settings.seconds
+    chosen = plan(costs, settings.seconds, recipe.initialization.number(dataset), fit, asked)
     milliseconds = 1e3 * costs.fine.step(chosen.max_gaussians)
     say(
         f"plan: {chosen.steps:,} steps, {chosen.max_gaussians:,} Gaussians, {duration(settings.seconds)} "
         f"(final steps about {milliseconds:.0f} ms each)"
     )
-    return chosen
+    smaller = None
+    if settings.downscale == "auto":
+        smaller = smaller_photos(lambda divisor: loaded(settings, divisor), dataset, chosen.steps)
+    if smaller is None:
+        return replace(settings, steps=chosen.steps, max_gaussians=chosen.max_gaussians), dataset
+    downscale, dataset = smaller
+    say(f"too few steps for photos of this size: --downscale {downscale}")
+    return planned(replace(settings, downscale=downscale), dataset, room, deadline)
 
 
 @contextmanager
@@ -264,7 +283,8 @@ def write(results: Results, checkpoints: Checkpoints) -> None:
             "Gaussians that were not finite were removed"
         )
     if scores:
+        corrected = f" ({scores.corrected_psnr:.2f} dB colour-corrected)" if results.compensates else ""
         count = f"{len(scores.views)} held-out photos"
-        say(f"test PSNR {scores.psnr:.2f} dB, SSIM {scores.ssim:.4f} over {count}")
+        say(f"test PSNR {scores.psnr:.2f} dB{corrected}, SSIM {scores.ssim:.4f} over {count}")
     say(f"scene   {out / 'scene.ply'}")
     say(f"report  {out / 'report.html'}")

@@ -11,6 +11,7 @@ from splatax.cli.options import (
     BackendName,
     BackgroundName,
     Downscale,
+    HoldOutOption,
     InitName,
     LowPassName,
     RecipeName,
@@ -34,17 +35,40 @@ class Rerun:
 
 
 @dataclass(frozen=True)
+class Photos:
+    """Photos and points to train on."""
+
+    hold_out: HoldOutOption = None
+    """Photos to score the scene on instead of training on them. "every:8": every 8th by name, from the middle
+    of the first 8 ("every:8:1": from the 1st); "last" or "last:N": the last; LIST: names with commas, or a
+    .txt file with one a line; "none". By default those that the capture lists, else "every:8", which never
+    holds out the first or the last; for create none, except in its trial run."""
+    leave_out: Annotated[str | None, shown_as("{auto,none,LIST}")] = None
+    """Photos not to train on. "auto", the default: those that are blurred compared with the rest, and those
+    that repeat another; LIST: names with commas, or a .txt file."""
+    points: Annotated[Path | None, shown_as("FILE.ply")] = None
+    """Start from the colored points of this file instead of those of the capture."""
+    judged_by: Annotated[Path | None, shown_as("RUN")] = None
+    """Quote the scores of another run of this capture in the report, for a run that holds out no photos."""
+
+
+@dataclass(frozen=True)
 class Limits:
     """Time, memory and size."""
 
     budget: Annotated[str | None, shown_as("TIME")] = None
     """Training time limit, for example 30s, 5min or 1h. Steps and Gaussians are chosen to fit by the measured
-    speed of this machine; the run can be repeated exactly with --repeat."""
+    speed of this machine; the run can be repeated exactly with --repeat. By default 6min, for create 10min,
+    unless --steps or another --recipe is given."""
+    within: Annotated[str | None, shown_as("TIME")] = None
+    """Time limit of the whole command, for example 10min, instead of --budget: loading, planning and writing
+    the results count too."""
     memory: Annotated[str | None, shown_as("SIZE")] = None
     """Limit the memory of the whole process, for example 4GB. Caps the number of Gaussians, and re-reads
     photos that do not fit. By default the cache of decoded photos may take half of the machine's memory."""
     steps: Count = None
-    """Number of training steps; each step uses one photo. By default 30,000."""
+    """Number of training steps; each step uses one photo. By default as many as --budget has time for, or
+    30,000 for the recipes "classic", "absgrad" and "mcmc"."""
     max_gaussians: Annotated[Literal["auto"] | int | None, shown_as("{auto,N}")] = None
     """Upper limit of the number of Gaussians. "default" and "mcmc" always reach it; "classic" and "absgrad"
     rarely do. By default "auto": as many as the photos have detail for, or 5,000,000 for the latter two."""
@@ -61,8 +85,8 @@ class Method:
     """Preset of all training settings. "classic": Kerbl et al. 2023; "absgrad": Ye et al. 2024; "mcmc":
     Kheradmand et al. 2024; "default", the default: the best known."""
     init: Annotated[InitName | None, shown_as()] = None
-    """Initialize from the capture's point cloud ("sfm", the default), or randomly inside the camera
-    frusta."""
+    """Initialize from the capture's points ("sfm", the default), or randomly inside the camera frusta. If a
+    capture has no points, "sfm" finds some in the photos, and starts randomly only if that fails."""
     background: Annotated[BackgroundName | None, shown_as()] = None
     """Color behind the scene and behind transparent photos. "random": a new color every step, which prevents
     haze; evaluation uses black. By default white for Blender's scenes, random for the recipe "default", else
@@ -72,8 +96,8 @@ class Method:
     the brightness correct when zoomed out."""
     appearance: Annotated[AppearanceName | None, shown_as()] = None
     """Compensate differences between photos. "exposure": learns an affine color map for each training photo,
-    for exposure and white balance. By default none. Held-out photos are compared as they are, and once more
-    after a color correction."""
+    for exposure and white balance. By default "auto": only if exposure differs much. Held-out photos are
+    compared as they are, and once more after a color correction."""
     refine: Annotated[RefinementName | None, shown_as()] = None
     """Optimize the training cameras' poses, or poses and focal lengths. Use it only if the given cameras are
     inaccurate; accurate ones get worse. Writes the cameras to refined/sparse/0. By default none. Cameras of

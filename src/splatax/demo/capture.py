@@ -8,19 +8,21 @@ import numpy as np
 import pycolmap
 
 from splatax.cameras import Camera
-from splatax.demo.dataset import FOCAL, SIZE, cameras, surface_points
+from splatax.demo.dataset import FOCAL, HELD_OUT, SIZE, cameras, surface_points
 from splatax.demo.raycast import photograph, visible
 from splatax.io import images
+from splatax.io.datasets import TEST_LIST
 
 
 def write_capture(folder: Path) -> None:
-    """Writes photos to FOLDER/images and a model to FOLDER/sparse/0."""
+    """Writes photos to FOLDER/images, a model to FOLDER/sparse/0, and FOLDER/test.txt."""
     (folder / "images").mkdir(parents=True, exist_ok=True)
     (folder / "sparse" / "0").mkdir(parents=True, exist_ok=True)
     views = {f"view{i:02}.png": camera for i, camera in enumerate(cameras())}
     for name, camera in views.items():
         images.write(folder / "images" / name, np.asarray(photograph(camera)))
     model_of(views).write_binary(folder / "sparse" / "0")
+    (folder / TEST_LIST).write_text("".join(f"{name}\n" for name in HELD_OUT.of(list(views))))
 
 
 def model_of(views: dict[str, Camera]) -> pycolmap.Reconstruction:

@@ -10,6 +10,7 @@ import numpy as np
 from splatax.cameras import Camera, look_at
 from splatax.dataset import Dataset, Pixels, PointCloud, View, hold_out
 from splatax.demo.raycast import look, photograph
+from splatax.splits import Every, Nothing
 
 PHOTOS = 24
 SIZE = (160, 120)  # pixels
@@ -19,13 +20,14 @@ TARGET = np.array([-0.1, 0.05, 0.35])
 AZIMUTHS = (-30.0, 70.0)  # degrees from the back wall's normal; further left is behind the other wall
 ELEVATIONS = (14.0, 30.0, 46.0)  # degrees
 DISTANCE = 2.7
+HELD_OUT = Every(first=1)  # these lie between others
 
 
 def demo_dataset(photos: int = PHOTOS, width: int = SIZE[0], height: int = SIZE[1]) -> Dataset:
     """Returns a small capture of a procedural still life, without reading or writing files.
 
-    The cameras and the points are exact. Every 8th photo is held out. A photo is ray traced when its
-    `pixels` is called for the first time.
+    The cameras and the points are exact. Every 8th photo is held out, from the first. A photo is ray traced
+    when its `pixels` is called for the first time.
 
     Args:
         photos: number of photos, at least 1.
@@ -41,9 +43,10 @@ def demo_dataset(photos: int = PHOTOS, width: int = SIZE[0], height: int = SIZE[
         View(f"view{i:02}.png", camera, cache(partial(_pixels, camera)))
         for i, camera in enumerate(cameras(photos, (width, height)))
     ]
-    train, test = hold_out(views)
+    rule = HELD_OUT if photos > 1 else Nothing()
+    train, test = hold_out(views, rule)
     positions, colors = surface_points([view.camera for view in views])
-    return Dataset(train, test, PointCloud(positions, np.clip(colors, 0, 1)))
+    return Dataset(train, test, PointCloud(positions, np.clip(colors, 0, 1)), split=str(rule))
 
 
 def cameras(photos: int = PHOTOS, size: tuple[int, int] = SIZE) -> list[Camera]:

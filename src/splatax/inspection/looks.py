@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from splatax.dataset import Pixels
 from splatax.errors import InputError
 from splatax.io import images
 
@@ -64,9 +65,14 @@ def spread(names: list[str]) -> Iterable[str]:
 def look(path: Path) -> Look:
     """Measures one photo. A JPEG is decoded no larger than needed."""
     try:
-        pixels = images.glance(path, LONGEST_SIDE).astype(np.float32)
+        return look_of(images.glance(path, LONGEST_SIDE))
     except (InputError, OSError) as error:
         return Look(unreadable=str(error))
+
+
+def look_of(photo: Pixels) -> Look:
+    """Measures the pixels of one photo."""
+    pixels = photo.astype(np.float32)
     luminance = pixels[..., :3] @ np.array(LUMINANCE, np.float32)
     opaque = pixels[..., 3] > 0 if pixels.shape[2] == 4 else np.ones(luminance.shape, bool)
     if not opaque.any() or min(luminance.shape) < 3:

@@ -20,7 +20,7 @@ TWICE = 2.0  # times the median of all views, from which a view counts as badly 
 MOSTLY_HIDDEN = 0.2  # fraction of unmasked pixels
 FEW_POINTS = 500
 LEVEL_SPAN = 0.02  # of the distance to the points; less means that all cameras are in one place
-RANDOM = "from random Gaussians: init random of splatax train, or Recipe(initialization=InFrusta())"
+TRIANGULATED = "splatax train finds some in the photos; in Python: reconstruction.triangulated(dataset.train)"
 
 
 @dataclass(frozen=True)
@@ -173,12 +173,12 @@ def points(found: Examination) -> Iterator[Problem]:
         return
     count = len(found.dataset.points)
     if count == 0:
-        yield Problem("warning", "There are no points to start from.", f"Start {RANDOM}.")
+        yield Problem("warning", "There are no points to start from.", f"{TRIANGULATED}.")
     elif count < FEW_POINTS:
         yield Problem(
             "warning",
             f"Only {count} points to start from.",
-            f"Find more with detail high of splatax reconstruct, or start {RANDOM}.",
+            "Find more with detail high of splatax reconstruct, or start with init random of splatax train.",
         )
 
 

@@ -2,3 +2,4 @@
 
 from splatax.reconstruction.pipeline import Outcome as Outcome
 from splatax.reconstruction.pipeline import reconstruct as reconstruct
+from splatax.reconstruction.triangulation import triangulated as triangulated

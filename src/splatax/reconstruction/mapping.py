@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     import pycolmap
 
 PHOTOS_AT_ONCE, PAIRS_AT_ONCE = 16, 128
+FIRST_PHOTOS = 4  # whose time tells how long all take
 FEWEST_IN_MODEL = 3  # photos
 MANY = 20  # photos of one camera from which its tangential distortion is estimated too
 UNKNOWN_FOCAL = 1.2  # focal length over the longer side if EXIF has none (as in COLMAP)
@@ -101,10 +103,27 @@ def write_camera(database: "pycolmap.Database", group: Sequence[Entry]) -> tuple
     return camera.camera_id, database.write_rig(rig)
 
 
-def extract(path: Path, photos: Path, features: Features, watch: Callable[[int, int], None]) -> None:
-    """Extracts SIFT features (Lowe 2004) of the photos that have none yet, on the CPU."""
+def extract(
+    path: Path,
+    photos: Path,
+    features: Features,
+    watch: Callable[[int, int], None],
+    masks: Path | None = None,
+) -> None:
+    """Extracts SIFT features (Lowe 2004) of the photos that have none yet, on the CPU.
+
+    Args:
+        path: of the database.
+        photos: folder of the photos.
+        features: settings.
+        watch: function that is called with (photos done, all photos).
+        masks: folder of masks, named after their photo with ".png" at the end. Black pixels have no features.
+    """
     import pycolmap
 
+    reading = pycolmap.ImageReaderOptions()
+    if masks:
+        reading.mask_path = masks
     options = pycolmap.FeatureExtractionOptions()
     options.max_image_size = features.longest_side
     options.sift.max_num_features = features.most
@@ -112,11 +131,17 @@ def extract(path: Path, photos: Path, features: Features, watch: Callable[[int, 
     with opened(path) as database:
         every = sorted(database.read_all_images(), key=lambda image: image.image_id)
         left = [image.name for image in every if not database.exists_keypoints(image.image_id)]
-    for start in range(0, len(left), PHOTOS_AT_ONCE):
+    starts = [0, *range(FIRST_PHOTOS, len(left), PHOTOS_AT_ONCE), len(left)]
+    for start, end in pairwise(starts if left else []):
         watch(len(every) - len(left) + start, len(every))
-        names = left[start : start + PHOTOS_AT_ONCE]
+        names = left[start:end]
         pycolmap.extract_features(
-            path, photos, image_names=names, extraction_options=options, device=pycolmap.Device.cpu
+            path,
+            photos,
+            image_names=names,
+            reader_options=reading,
+            extraction_options=options,
+            device=pycolmap.Device.cpu,
         )
     watch(len(every), len(every))
 

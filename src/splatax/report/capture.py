@@ -9,6 +9,7 @@ from splatax.inspection import Examination, Problem
 from splatax.io.datasets.photos import sizes_of
 from splatax.report.page import fill
 from splatax.report.plan import plan
+from splatax.runs.budget import DEFAULT_BUDGET
 from splatax.training.recipes import default
 
 LENSES = 4  # lenses that are listed
@@ -47,10 +48,11 @@ def facts_of(found: Examination) -> list[tuple[str, str]]:
         forecast = f"about {found.memory / 1e9:.1f} GB for {found.gaussians:,} Gaussians, as by default{free}"
         facts.append(("memory to train", forecast))
     if found.seconds:
-        steps = f"all {default().steps:,} steps of the default recipe to {found.gaussians:,} Gaussians"
-        facts.append(
-            ("time to train", f"about {roughly(found.seconds)} for {steps}, as busy as it is here now")
+        steps = f"{default().steps:,} steps of the default recipe to {found.gaussians:,} Gaussians"
+        forecast = (
+            f"{DEFAULT_BUDGET} by default; about {roughly(found.seconds)} for {steps}, as busy as it is now"
         )
+        facts.append(("time to train", forecast))
     return facts
 
 

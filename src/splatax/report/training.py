@@ -1,11 +1,13 @@
 """The pages of a run: progress.gif and report.html."""
 
+import os
 from collections.abc import Mapping, Sequence
 
 from splatax.evaluation import Scores
 from splatax.report.page import report
 from splatax.report.pictures import animation
 from splatax.runs.budget import duration
+from splatax.runs.finished import psnr_of
 from splatax.runs.machine import device, peak_memory
 from splatax.runs.results import Comparison, Results
 
@@ -14,22 +16,65 @@ def pages(results: Results, comparisons: Sequence[Comparison]) -> Mapping[str, b
     """Returns the animation and the report of a run by the names of their files, the report last."""
     gif = animation(results.history.frames) if results.history.frames else b""
     facts = summary(results, Scores(tuple(comparison.score for comparison in comparisons)))
-    page = report(results.title, facts, results.dataset.notes, results.history, comparisons, gif)
+    page = report(results.title, facts, notes(results), results.history, comparisons, gif)
     return {"progress.gif": gif, "report.html": page.encode()}
 
 
 def summary(results: Results, scores: Scores) -> dict[str, str]:
     """Returns the main results as label and value, for the top of the report."""
-    kind = "test" if results.dataset.test else "training"
     used = peak_memory()
     return {
-        f"PSNR of {len(scores.views)} {kind} views": f"{scores.psnr:.2f} dB",
-        "SSIM": f"{scores.ssim:.4f}",
-        "colour-corrected PSNR": f"{scores.corrected_psnr:.2f} dB",
-        f"worst view, {scores.worst.name}": f"{scores.worst.psnr:.2f} dB",
+        **measures(results, scores),
         "Gaussians": f"{len(results.gaussians):,}",
         "steps" + (", then interrupted" if results.history.interrupted else ""): f"{results.history.steps:,}",
         "training": duration(results.history.train_seconds),
         "peak memory": f"{used / 1e9:.2f} GB" if used else "unknown",
         "device": device(),
     }
+
+
+def measures(results: Results, scores: Scores) -> dict[str, str]:
+    """Returns the scores as label and value. Those of photos that were trained on say so, and come last."""
+    count, corrected = len(scores.views), {"colour-corrected PSNR": f"{scores.corrected_psnr:.2f} dB"}
+    if results.dataset.test:
+        psnr = {f"PSNR of {count} held-out photos": f"{scores.psnr:.2f} dB"}
+        return {
+            **(corrected | psnr if results.compensates else psnr | corrected),
+            "SSIM": f"{scores.ssim:.4f}",
+            f"worst photo, {scores.worst.name}": f"{scores.worst.psnr:.2f} dB",
+        }
+    seen = {f"PSNR of {count} photos that it was trained on": f"{scores.psnr:.2f} dB"}
+    if results.judge is None:
+        return seen
+    test = results.judge.metrics["test"]
+    unseen = f"of {len(test['views'])} photos that a trial run had not seen"
+    measured = [
+        (f"PSNR {unseen}", psnr_of(test)),
+        (f"colour-corrected PSNR {unseen}", test["corrected_psnr"]),
+    ]
+    if results.compensates:
+        measured.reverse()
+    return {label: f"{value:.2f} dB" for label, value in measured} | seen
+
+
+def notes(results: Results) -> list[str]:
+    """Returns lines about the capture, and about what the scores mean."""
+    if results.dataset.test:
+        return list(results.dataset.notes)
+    every, judge = len(results.dataset.train), results.judge
+    trained = f"The scene was trained on all {every} photos"
+    if judge is None:
+        meaning = f"{trained}, so none of them can tell how it looks from elsewhere."
+        return [meaning, *results.dataset.notes]
+    seconds, unseen = duration(judge.metrics["train_seconds"]), len(judge.metrics["test"]["views"])
+    same_size = judge.options.get("downscale") == results.options.get("downscale")
+    meaning = (
+        f"{trained}. The score at the top is that of a trial run of {seconds}"
+        f"{'' if same_size else ', with smaller photos'}, which had not seen {unseen} of them and was "
+        "compared with these. The scene itself had more time and more photos, so it is usually better."
+    )
+    return [
+        meaning,
+        f"report of the trial run: {os.path.relpath(judge.folder, results.out)}/report.html",
+        *results.dataset.notes,
+    ]

@@ -17,6 +17,7 @@ from splatax.bench.timing import timed
 from splatax.training.capacity import GROWTH
 from splatax.training.recipes import COARSE, GROWING, Recipe
 
+DEFAULT_BUDGET = "6min"  # of training, where neither a time nor a number of steps is given
 PROBES = (20_000, 80_000)  # Gaussians; steps are linear in them
 ROUNDS = 5
 GAUSSIANS_PER_STEP = 60  # of a run; see docs/results.md

@@ -1,6 +1,7 @@
 """The memory that a run may use, and the size of photos that suits a short one."""
 
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -8,10 +9,29 @@ from splatax.dataset import Dataset
 from splatax.errors import InputError
 from splatax.runs import forecast
 from splatax.runs.machine import physical_memory
+from splatax.runs.results import SHOWN
 
 ENOUGH_STEPS = 500  # of a budget: with fewer, smaller photos teach more
 SMALLEST_SIDE = 640  # pixels of the longer side that photos are not made smaller than for it
+WRITING, SCORING = 5.0, 2e-6  # seconds to write results on two cores, and more for each pixel that is scored
 PHOTO_FRACTION = 0.5  # of all memory, or of what is left of the limit: the most that decoded photos may take
+
+
+@dataclass(frozen=True)
+class Deadline:
+    """The end of a whole command, of which training gets what the rest leaves.
+
+    Attributes:
+        at: end, seconds of the monotonic clock.
+    """
+
+    at: float
+
+    def left(self, dataset: Dataset) -> float:
+        """Returns the seconds that are left for training, at least 1: results have to be written too."""
+        views = dataset.test or dataset.train[:SHOWN]
+        pixels = sum(view.camera.width * view.camera.height for view in views)
+        return max(self.at - time.monotonic() - WRITING - SCORING * pixels, 1.0)
 
 
 @dataclass(frozen=True)

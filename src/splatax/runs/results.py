@@ -17,12 +17,16 @@ from splatax.io import formats
 from splatax.io.datasets import colmap_writing
 from splatax.io.files import explained, write_whole
 from splatax.runs.checkpoints import Checkpoints, files
+from splatax.runs.finished import FinishedRun
 from splatax.runs.history import Evaluation, History, Picture
 from splatax.runs.machine import device, peak_memory, versions
 from splatax.runs.records import as_json, write_json
+from splatax.training.appearance import NoAppearance
 from splatax.training.camera_refinement import FixedCameras, refined
 from splatax.training.loop import RunState
 from splatax.training.recipes import Recipe
+
+SHOWN = 12  # training photos that a report shows where none are held out
 
 
 @dataclass(frozen=True)
@@ -54,6 +58,7 @@ class Results:
         last: the run after its last step.
         options: that the run was started with, for config.json.
         out: the folder.
+        judge: another run of the capture, with held-out photos, whose scores speak for this one's.
     """
 
     title: str
@@ -63,6 +68,7 @@ class Results:
     last: RunState
     options: Mapping[str, Any]
     out: Path
+    judge: FinishedRun | None = None
 
     @cached_property
     def gaussians(self) -> Gaussians:
@@ -76,6 +82,11 @@ class Results:
         """True if the training cameras were refined, so that there is a model of them."""
         return not isinstance(self.recipe.camera_refinement, FixedCameras)
 
+    @property
+    def compensates(self) -> bool:
+        """True if the exposure of each training photo was learned, so held-out ones may differ in theirs."""
+        return not isinstance(self.recipe.appearance, NoAppearance)
+
     def write(self, present: "Present") -> Scores | None:
         """Writes all files, the scene first.
 
@@ -88,7 +99,7 @@ class Results:
         formats.save(self.out / "scene.ply", self.gaussians)
         if self.refines_cameras:
             self._write_cameras()
-        comparisons = [self._compare(view) for view in self.dataset.test or self.dataset.train]
+        comparisons = [self._compare(view) for view in self.dataset.test or examples(self.dataset.train)]
         test = Scores(tuple(comparison.score for comparison in comparisons)) if self.dataset.test else None
         if test:
             self.history.evaluations.append(Evaluation(self.history.steps, self.history.train_seconds, test))
@@ -115,7 +126,8 @@ class Results:
                 {"step": e.step, "seconds": e.seconds} | measures_of(e.scores)
                 for e in self.history.evaluations
             ],
-            "protocol": protocol(self.recipe.background.rgb)
+            "judged_by": self.judge and {"run": str(self.judge.folder), "test": self.judge.metrics["test"]},
+            "protocol": protocol(self.recipe.background.rgb, self.dataset)
             | {"train_seconds": "wall time of all steps, compilation included, evaluation and pictures not"},
         }
 
@@ -185,9 +197,14 @@ def conclude(results: Results, checkpoints: Checkpoints, present: Present = no_p
     return scores
 
 
-def protocol(background: tuple[float, float, float]) -> dict[str, str]:
-    """Returns how scores are made, in words."""
-    split = "every 8th photo by sorted name, from the first, is held out"
+def examples(views: Sequence[View]) -> Sequence[View]:
+    """Returns at most `SHOWN` of the views, evenly spaced."""
+    return views[:: -(-len(views) // SHOWN) or 1]
+
+
+def protocol(background: tuple[float, float, float], dataset: Dataset) -> dict[str, str]:
+    """Returns how the scores of a capture's held-out photos are made, in words."""
+    split = f"held out: {dataset.split or 'as given'}"
     return {"split": split, **PROTOCOL, "background": str(background)}
 
 

@@ -44,8 +44,9 @@ class FromPoints:
         points = dataset.points
         if not len(points):
             raise DatasetError(
-                "The capture has no points to start from. Start from random Gaussians: "
-                "Recipe(initialization=InFrusta())."
+                "The capture has no points to start from. Find some: "
+                "replace(dataset, points=reconstruction.triangulated(dataset.train)). Or start from random "
+                "Gaussians: Recipe(initialization=InFrusta())."
             )
         kept = ~isolated(points.positions, self.isolation)
         positions, colors = points.positions[kept], points.colors[kept]

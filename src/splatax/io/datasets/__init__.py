@@ -5,10 +5,12 @@ A reader is a module with `LOOKED_FOR`, `recognise(folder)` and `read(folder, do
 on a damaged capture; `load_dataset` turns it into a `DatasetError`.
 """
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
-from splatax.dataset import Dataset
+from splatax.dataset import Dataset, resplit
 from splatax.errors import DatasetError, shown
 from splatax.io import images
 from splatax.io.damage import blamed_on
@@ -27,7 +29,9 @@ from splatax.io.datasets import (
     transforms,
 )
 from splatax.io.datasets.assembly import dataset_of
+from splatax.io.datasets.colmap_writing import PLACE
 from splatax.io.datasets.photos import counted
+from splatax.splits import Every, HoldOut, Listed, listed_in, matched
 
 DATASETS: dict[str, ModuleType] = {  # the first that recognises a folder reads it
     "COLMAP": colmap,
@@ -42,34 +46,83 @@ DATASETS: dict[str, ModuleType] = {  # the first that recognises a folder reads 
     "Bundler": bundler,
     "VisualSFM": nvm,
 }
+TEST_LIST = "test.txt"  # of the capture or of its COLMAP model: names of the photos to hold out, one a line
 
 
-def load_dataset(path: str | Path, *, downscale: int | None = None) -> Dataset:
+def load_dataset(
+    path: str | Path, *, downscale: int | None = None, hold_out: HoldOut | None = None
+) -> Dataset:
     """Loads a capture: its cameras and points, and its photos on demand.
-
-    Every 8th photo is held out, unless the capture itself lists the photos to hold out.
 
     Args:
         path: folder of the capture, or a zip file of it.
         downscale: factor by which photos are shrunk. None selects the smallest whole number that brings
             the longer side to at most 1600 pixels.
+        hold_out: rule for the photos to hold out. None holds out those that the capture itself lists, in
+            test.txt or in the files of its layout, else every 8th, from the 5th.
 
-        Raises:
-            DatasetError: if the path is not a capture, or a part of it is missing, damaged or elsewhere.
+    Raises:
+        DatasetError: if the path is not a capture, or a part of it is missing, damaged or elsewhere.
+        InputError: if the rule names a photo that is not there, or leaves none to train on.
     """
     folder = folder_of(Path(path))
     with blamed_on(Path(path), "not a capture that can be read", "Make or copy it again.", DatasetError):
-        if (reader := reader_of(folder)) is not None:
-            return dataset_of(reader.read(folder, downscale), downscale)
-    looked_for = "; ".join(reader.LOOKED_FOR for reader in DATASETS.values())
-    raise DatasetError(
-        f"{path}: not a capture that splatax knows. It looked for {looked_for}. It found {contents(folder)}."
-    )
+        if (reader := reader_of(folder)) is None:
+            looked_for = "; ".join(reader.LOOKED_FOR for reader in DATASETS.values())
+            raise DatasetError(
+                f"{path}: not a capture that splatax knows. It looked for {looked_for}. It found "
+                f"{contents(folder)}."
+            )
+        dataset = dataset_of(reader.read(folder, downscale), downscale)
+    return split(dataset, folder, hold_out)
 
 
 def reader_of(folder: Path) -> ModuleType | None:
     """Returns the reader of the capture in a folder; None if the folder holds none that is known."""
     return next((reader for reader in DATASETS.values() if reader.recognise(folder)), None)
+
+
+def split(dataset: Dataset, folder: Path, rule: HoldOut | None) -> Dataset:
+    """Returns a capture with its held-out views, and a note about them.
+
+    Args:
+        dataset: as its loader returned it; `split` is set if its files define the held-out views.
+        folder: of the capture.
+        rule: see `load_dataset`.
+
+    Raises:
+        DatasetError: if the capture's list of test photos names none of its photos.
+        InputError: if the rule names a photo that is not there, or leaves none to train on.
+    """
+    if rule is None and not dataset.split:
+        rule = own_list(folder, [view.name for view in dataset.views]) or Every()
+    if rule is not None:
+        dataset = resplit(dataset, rule)
+    held_out, every = len(dataset.test), len(dataset.views)
+    note = f"{held_out} of {counted(every)} held out for testing: {dataset.split}"
+    if not held_out and rule == Every():
+        note = f"no photo is held out: {counted(every)} are too few, so all are trained on"
+    elif not held_out:
+        note = "no photo is held out, so all are trained on"
+    return replace(dataset, notes=(*dataset.notes, note))
+
+
+def own_list(folder: Path, names: Sequence[str]) -> Listed | None:
+    """Returns the photos that a capture's test.txt holds out, those with a pose; None without such a file.
+
+    Raises:
+        DatasetError: if it names none of the photos.
+    """
+    for path in (folder / TEST_LIST, folder / PLACE / TEST_LIST):
+        if path.is_file():
+            listed = matched(listed_in(str(path)), names)
+            if not listed:
+                raise DatasetError(
+                    f"{path}: names none of the photos with a pose, which are {shown(names[0])} to "
+                    f"{shown(names[-1])}. Correct the list, or remove it."
+                )
+            return Listed(tuple(listed.values()), path.name)
+    return None
 
 
 def is_capture(path: Path) -> bool:

@@ -51,7 +51,7 @@ def dataset_of(capture: Capture, downscale: int | None) -> Dataset:
     errors = capture.errors({view.name: view.camera for view in views}) if capture.errors else {}
     notes = [
         *capture.notes,
-        f"{len(views)} of {len(views) + len(unused)} photos registered, {len(test)} held out for testing",
+        f"{len(views)} of {len(views) + len(unused)} photos registered",
         *absent(missing, len(capture.frames)),
         f"{f'{len(points):,}' if len(points) else 'no'} points; photos {photos.sizes_of(views)} "
         f"from {folder.name}/{photos.scaling(factor)}",
@@ -65,7 +65,8 @@ def dataset_of(capture: Capture, downscale: int | None) -> Dataset:
         every = np.concatenate(list(errors.values()))
         notes.append(f"median reprojection error {np.median(every):.2f} px ({len(every):,} observations)")
     survey = photos.survey(sources, unused, errors)
-    return Dataset(train, test, points, tuple(notes), capture.background, survey)
+    split = "" if capture.held_out is None else "as the capture's own files define"
+    return Dataset(train, test, points, tuple(notes), capture.background, survey, split)
 
 
 def parted_by_presence(capture: Capture) -> tuple[list[Frame], list[Frame]]:

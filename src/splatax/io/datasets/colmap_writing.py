@@ -28,22 +28,33 @@ def save(folder: Path, views: Iterable[View], points: PointCloud) -> None:
     """
     import pycolmap
 
-    model = pycolmap.Reconstruction()
-    cameras: dict[tuple[float, ...], int] = {}
-    for number, view in enumerate(views, start=1):
-        pinhole = _pinhole(view.camera)
-        key = (pinhole.width, pinhole.height, *pinhole.params)
-        if key not in cameras:
-            pinhole.camera_id = cameras[key] = len(cameras) + 1
-            model.add_camera_with_trivial_rig(pinhole)
-        image = pycolmap.Image(name=view.name, camera_id=cameras[key], image_id=number)
-        model.add_image_with_trivial_frame(image, _pose(view.camera))
+    model = model_of_cameras((view.name, view.camera) for view in views)
     colors = np.clip(np.round(points.colors * 255), 0, 255).astype(np.uint8)
     for position, color in zip(points.positions.astype(np.float64), colors, strict=True):
         model.add_point3D(position, pycolmap.Track(), color)
     place = folder / PLACE
     place.mkdir(parents=True, exist_ok=True)
     model.write_binary(place)
+
+
+def model_of_cameras(cameras: Iterable[tuple[str, Camera]]) -> "pycolmap.Reconstruction":
+    """Returns a COLMAP model of named cameras as pinholes, without points.
+
+    Images are numbered from 1 in the given order. Cameras with equal intrinsics share one COLMAP camera.
+    """
+    import pycolmap
+
+    model = pycolmap.Reconstruction()
+    numbers: dict[tuple[float, ...], int] = {}
+    for number, (name, camera) in enumerate(cameras, start=1):
+        pinhole = _pinhole(camera)
+        key = (pinhole.width, pinhole.height, *pinhole.params)
+        if key not in numbers:
+            pinhole.camera_id = numbers[key] = len(numbers) + 1
+            model.add_camera_with_trivial_rig(pinhole)
+        image = pycolmap.Image(name=name, camera_id=numbers[key], image_id=number)
+        model.add_image_with_trivial_frame(image, _pose(camera))
+    return model
 
 
 def _pinhole(camera: Camera) -> "pycolmap.Camera":

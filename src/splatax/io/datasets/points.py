@@ -1,4 +1,4 @@
-"""Reads the points of a capture from a PLY file."""
+"""Reads and writes points as PLY files."""
 
 from pathlib import Path
 
@@ -34,3 +34,26 @@ def points_beside(folder: Path) -> PointCloud:
         return NO_POINTS
     way_out = "Export the points with colors and in the coordinates of the cameras, or move the file away."
     return cloud_of_ply(names.confined(found[0], folder), way_out)
+
+
+def read_points(path: Path) -> PointCloud:
+    """Returns the coloured points of a PLY file.
+
+    Raises:
+        DatasetError: if there is no such file, it is damaged, or holds no coloured points.
+    """
+    way_out = "Give a PLY file of coloured points."
+    if not path.is_file():
+        raise DatasetError(f"{path}: no such file. {way_out}")
+    return cloud_of_ply(path, way_out)
+
+
+def write_points(path: Path, points: PointCloud) -> None:
+    """Writes points to a PLY file; colours are rounded to 8 bits."""
+    kinds = ["<f4"] * 3 + ["u1"] * 3
+    rows = np.zeros(len(points), [(name, kind) for name, kind in zip(COLUMNS, kinds, strict=True)])
+    for axis, name in enumerate(COLUMNS[:3]):
+        rows[name] = points.positions[:, axis]
+    for channel, name in enumerate(COLUMNS[3:]):
+        rows[name] = np.clip(np.round(points.colors[:, channel] * 255), 0, 255)
+    ply_table.write(path, {"vertex": rows}, ())

@@ -1,0 +1,138 @@
+"""The capture of a run: as its options say, and after a look at the photos."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import splatax as sx
+from splatax.cli.options import load_scene
+from splatax.cli.output import say
+from splatax.cli.settings import Settings
+from splatax.cli.stages import Stages
+from splatax.dataset import View, without
+from splatax.inspection.decisions import Findings, look_first
+from splatax.io.datasets.photos import counted, listed
+from splatax.io.datasets.points import read_points, write_points
+from splatax.reconstruction import triangulation
+from splatax.splits import Listed, listed_in
+from splatax.training.initialize import InFrusta, focus_distance
+
+LARGEST_FRACTION = 0.5  # of the training photos that are left out
+POINTS = "points.ply"  # in the folder of a run that had to find its points
+FEWEST_POINTS = 100  # from which triangulated points are a better start than random ones
+
+
+def loaded(settings: Settings, downscale: int | None = None) -> sx.Dataset:
+    """Loads the capture of a run, with the held-out photos, photos to leave out and points of its settings.
+
+    Args:
+        settings: of the run.
+        downscale: factor by which photos are shrunk, instead of that of the settings.
+
+    Raises:
+        InputError: if the settings name a photo that is not there.
+    """
+    assert settings.scene
+    dataset = load_scene(settings.scene, downscale or settings.downscale, hold_out=settings.hold_out)
+    if settings.leave_out not in ("auto", "none"):
+        names = [view.name for view in dataset.views]
+        spared = set(Listed(listed_in(settings.leave_out)).of(names)) & {view.name for view in dataset.train}
+        dataset = without(dataset, spared)
+        note = f"{counted(len(spared))} left out of training: {listed(sorted(spared))}"
+        dataset = replace(dataset, notes=(*dataset.notes, note))
+    if settings.points:
+        points = read_points(settings.points)
+        note = f"{len(points):,} points from {settings.points.name}"
+        dataset = replace(dataset, points=points, notes=(*dataset.notes, note))
+    return dataset
+
+
+def prepared(settings: Settings, dataset: sx.Dataset, out: Path) -> tuple[Settings, sx.Dataset]:
+    """Returns settings and capture after a look at the photos, and prints each decision in one line.
+
+    Finds points if the capture has none, leaves out photos that harm, and compensates uneven exposure. The
+    settings that are returned record the decisions, so a run that is resumed or repeated takes them over.
+
+    Args:
+        settings: of the run; only what they leave open is decided.
+        dataset: the capture.
+        out: folder of the run.
+    """
+    if settings.init == "sfm" and not len(dataset.points):
+        path = found_points(settings.scene, dataset.train, out, settings.seed)
+        if path is None:
+            settings = replace(settings, init="random")
+        else:
+            settings = replace(settings, points=path)
+            dataset = replace(dataset, points=read_points(path))
+    if settings.init == "random":
+        say(random_start(dataset, settings))
+    if "auto" not in (settings.leave_out, settings.appearance):
+        return settings, dataset
+    findings = look_first(dataset)
+    if settings.leave_out == "auto":
+        names, lines = spared_by(findings)
+        if len(names) > LARGEST_FRACTION * len(dataset.train):
+            names, lines = [], []
+            say(
+                "most photos are blurred or repeat another, so all are used. Leave some out: --leave-out LIST"
+            )
+        for line in lines:
+            say(f"{line}. Use all photos: --leave-out none")
+        settings = replace(settings, leave_out="".join(f"{name}\n" for name in names) or "none")
+        dataset = without(dataset, names)
+    if settings.appearance == "auto":
+        if findings.uneven:
+            say(
+                f"exposure differs between photos by {findings.exposure:.2f} stops (standard deviation), so "
+                "it is compensated. Turn that off: --appearance none"
+            )
+        settings = replace(settings, appearance="exposure" if findings.uneven else "none")
+    return settings, dataset
+
+
+def spared_by(findings: Findings) -> tuple[list[str], list[str]]:
+    """Returns the photos to leave out of training, and why, as lines."""
+    lines = []
+    repeated = sorted(findings.repeated)
+    blurred = [name for name in findings.blurred if name not in repeated]
+    if blurred:
+        lines.append(f"left out of training, blurred compared with the rest: {listed(blurred)}")
+    if repeated:
+        pairs = (f"{name} (as {findings.repeated[name]})" for name in repeated)
+        lines.append(f"left out of training, the same photo as another: {listed(pairs)}")
+    return sorted([*blurred, *repeated]), lines
+
+
+def found_points(scene: Path | None, views: Sequence[View], out: Path, seed: int) -> Path | None:
+    """Triangulates points from photos with known cameras, and writes them to OUT/points.ply.
+
+    Returns:
+        The file; None if there are too few points to start from.
+    """
+    say(f"{scene}: cameras without points; finding points in {counted(len(views))}")
+    with Stages(triangulation.STAGES) as stages:
+        points = triangulation.triangulated(views, seed=seed, watch=stages.show)
+    if len(points) < FEWEST_POINTS:
+        say(f"only {counted_points(len(points))} found, at least {FEWEST_POINTS} are needed")
+        return None
+    write_points(out / POINTS, points)
+    say(f"{counted_points(len(points))} found, written to {out / POINTS}")
+    return out.absolute() / POINTS
+
+
+def counted_points(number: int) -> str:
+    """Returns a number of points in words."""
+    return "1 point" if number == 1 else f"{number:,} points"
+
+
+def random_start(dataset: sx.Dataset, settings: Settings) -> str:
+    """Returns where random Gaussians begin, in words."""
+    start = settings.initialization()
+    assert isinstance(start, InFrusta)
+    distance = focus_distance([view.camera for view in dataset.train], dataset.extent)
+    near, far = start.nearest * distance, start.farthest * distance
+    return (
+        f"starting from {start.count:,} random Gaussians in front of the cameras, {near:.3g} to {far:.3g} "
+        "world units away"
+    )

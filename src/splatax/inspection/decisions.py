@@ -1,0 +1,204 @@
+"""Looks at photos before training: which are blurred or repeated, and how their exposure differs."""
+
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from splatax.cameras import Camera
+from splatax.dataset import Dataset, Pixels, View
+from splatax.errors import InputError
+from splatax.inspection.looks import (
+    LONGEST_SIDE,
+    LUMINANCE,
+    WORKERS,
+    Look,
+    look_of,
+    robust_scores,
+    spread,
+)
+from splatax.inspection.problems import LEAST_SHARPNESS, OUTLIER
+from splatax.io import images
+from splatax.resampling import resize
+
+LOOKING = 5.0  # seconds spent on photos
+THUMBNAIL = (32, 24)  # pixels
+SAME_PIXELS = 1.5  # root mean square difference of thumbnails, of 255, below which two photos may be one
+SAME_PLACE = 0.01  # distance of their cameras, as a fraction of the extent
+SAME_DIRECTION = 0.02  # and the angle between them, radians
+FEW = 15  # photos up to which blurred ones stay: each shows something that no other does
+LARGEST_FRACTION = 0.2  # of the training photos that may be left out as blurred
+UNEVEN = 0.15  # stops: standard deviation of exposure from which compensating helps; see docs/cameras.md
+SAMPLES = 3000  # points at which photos are compared
+SHADES = (0.04, 0.95)  # luminance outside of which a sample is noise or saturated
+CELLS, SURFACE = 24, 1.1  # columns of the depth grid; how much deeper than the nearest point still is visible
+FEWEST_SAMPLES = 30  # of a photo
+ROUNDS = 10
+
+
+@dataclass(frozen=True)
+class Findings:
+    """Findings of a look at the photos of a capture.
+
+    Attributes:
+        blurred: training photos that are blurred, compared with the rest, and can be spared.
+        repeated: training photos that show the same from the same place as another, with that one's name.
+        exposure: standard deviation of the photos' exposure, in stops; None if it cannot be told.
+        seen: number of photos that there was time to look at.
+    """
+
+    blurred: tuple[str, ...] = ()
+    repeated: dict[str, str] = field(default_factory=dict)
+    exposure: float | None = None
+    seen: int = 0
+
+    @property
+    def uneven(self) -> bool:
+        """True if exposure differs so much that compensating it improves the scene."""
+        return self.exposure is not None and self.exposure >= UNEVEN
+
+
+@dataclass(frozen=True)
+class Sight:
+    """A photo at small sizes.
+
+    Attributes:
+        view: its view.
+        look: its sharpness and exposure.
+        thumbnail: luminance in [0, 255], at the size `THUMBNAIL`.
+        samples: log2 of its luminance at sampled points; NaN where it does not see them.
+    """
+
+    view: View
+    look: Look
+    thumbnail: Float[np.ndarray, "h w"]
+    samples: Float[np.ndarray, " n"]
+
+
+def look_first(dataset: Dataset) -> Findings:
+    """Looks at small versions of the photos of a capture, for a few seconds, evenly over all of them.
+
+    Args:
+        dataset: the capture. Photos without a file (`Survey.files`) are not looked at.
+    """
+    chosen = np.random.default_rng(0).permutation(len(dataset.points))[:SAMPLES]
+    points = dataset.points.positions[chosen].astype(np.float64)
+    sights = list(sights_of(dataset, points, time.monotonic() + LOOKING))
+    training = {view.name for view in dataset.train}
+    return Findings(
+        blurred_of([sight for sight in sights if sight.view.name in training]),
+        repeated_of(sights, training, dataset.extent),
+        exposure_of([sight.samples for sight in sights]),
+        len(sights),
+    )
+
+
+def sights_of(dataset: Dataset, points: Float[np.ndarray, "n 3"], deadline: float) -> Iterator[Sight]:
+    """Yields the photos that can be read before the deadline, sorted by name."""
+    views = {view.name: view for view in dataset.views}
+
+    def sight_in_time(name: str) -> Sight | None:
+        if time.monotonic() >= deadline:
+            return None
+        try:
+            return sight_of(views[name], images.glance(dataset.survey.files[name], LONGEST_SIDE), points)
+        except (InputError, OSError):
+            return None  # told when training reads the photo
+
+    names = list(spread(sorted(views.keys() & dataset.survey.files.keys())))
+    with ThreadPoolExecutor(WORKERS) as pool:
+        found = dict(zip(names, pool.map(sight_in_time, names), strict=True))
+    for name in sorted(found):
+        if (sight := found[name]) is not None:
+            yield sight
+
+
+def sight_of(view: View, photo: Pixels, points: Float[np.ndarray, "n 3"]) -> Sight:
+    """Returns the small versions of a decoded photo."""
+    luminance = photo[..., :3].astype(np.float64) @ np.array(LUMINANCE)
+    shades = np.repeat(np.round(luminance).astype(np.uint8)[..., None], 3, axis=2)
+    thumbnail = resize(shades, *THUMBNAIL)[..., 0].astype(np.float64)
+    height, width = luminance.shape
+    upright = abs(width * view.camera.height / view.camera.width - height) <= 0.05 * height
+    samples = shades_at(points, view.camera, luminance / 255) if upright else np.full(len(points), np.nan)
+    return Sight(view, look_of(photo), thumbnail, samples)
+
+
+def shades_at(
+    points: Float[np.ndarray, "n 3"], camera: Camera, luminance: Float[np.ndarray, "h w"]
+) -> Float[np.ndarray, " n"]:
+    """Returns log2 of a photo's luminance at points; NaN where it does not see them, or is black or white."""
+    height, width = luminance.shape
+    local = points @ np.asarray(camera.rotation, np.float64).T + np.asarray(camera.translation, np.float64)
+    depth = np.where(local[:, 2] > 0, local[:, 2], np.nan)
+    x = (local[:, 0] / depth * float(camera.fx) + float(camera.cx)) * width / camera.width
+    y = (local[:, 1] / depth * float(camera.fy) + float(camera.cy)) * height / camera.height
+    inside = np.flatnonzero((x >= 0) & (x < width) & (y >= 0) & (y < height))  # false for NaN
+    row, column, depth = y[inside].astype(int), x[inside].astype(int), depth[inside]
+    cell = (row * CELLS // width) * CELLS + column * CELLS // width
+    nearest = np.full(cell.max(initial=0) + 1, np.inf)
+    np.minimum.at(nearest, cell, depth)
+    shade = luminance[row, column]
+    seen = (depth <= SURFACE * nearest[cell]) & (shade > SHADES[0]) & (shade < SHADES[1])
+    samples = np.full(len(points), np.nan)
+    samples[inside[seen]] = np.log2(shade[seen])
+    return samples
+
+
+def exposure_of(samples: Sequence[Float[np.ndarray, " n"]]) -> float | None:
+    """Returns the standard deviation of the photos' exposure in stops; None if too few see the same points.
+
+    A photo's exposure is the median, over the points that it sees, of how much brighter they are there than
+    in the median photo.
+    """
+    shades = np.array([row for row in samples if np.isfinite(row).sum() >= FEWEST_SAMPLES])
+    if len(shades) < 3:
+        return None
+    shades = shades[:, np.isfinite(shades).sum(axis=0) >= 2]
+    shades = shades[np.isfinite(shades).sum(axis=1) >= FEWEST_SAMPLES]
+    if len(shades) < 3 or not np.isfinite(shades).any(axis=0).all():
+        return None
+    exposures = np.zeros(len(shades))
+    for _ in range(ROUNDS):
+        usual = np.nanmedian(shades - exposures[:, None], axis=0)
+        exposures = np.nanmedian(shades - usual, axis=1)
+    return float(exposures.std())
+
+
+def blurred_of(sights: Sequence[Sight]) -> tuple[str, ...]:
+    """Returns the photos that are much less sharp than the others, if there are enough others."""
+    if len(sights) <= FEW:
+        return ()
+    sharpness = np.log([max(sight.look.sharpness, 1e-3) for sight in sights])
+    scores = robust_scores(sharpness, LEAST_SHARPNESS)
+    found = [sights[i].view.name for i in np.argsort(scores) if scores[i] < -OUTLIER]
+    return tuple(sorted(found[: int(LARGEST_FRACTION * len(sights))]))
+
+
+def repeated_of(sights: Sequence[Sight], training: set[str], extent: float) -> dict[str, str]:
+    """Returns the training photos that repeat another photo, by name, with that one's name.
+
+    A photo that repeats a held-out one is among them: it would make the score of that one meaningless.
+    """
+    repeated: dict[str, str] = {}
+    kept = [sight for sight in sights if sight.view.name not in training]
+    for sight in (sight for sight in sights if sight.view.name in training):
+        same = next((other for other in kept if are_same(sight, other, extent)), None)
+        if same is None:
+            kept.append(sight)
+        else:
+            repeated[sight.view.name] = same.view.name
+    return repeated
+
+
+def are_same(one: Sight, other: Sight, extent: float) -> bool:
+    """Returns whether two photos show the same from the same place."""
+    a, b = one.view.camera, other.view.camera
+    apart = float(np.linalg.norm(np.asarray(a.position) - np.asarray(b.position)))
+    turned = float(np.linalg.norm(np.asarray(a.rotation)[2] - np.asarray(b.rotation)[2]))
+    if apart > SAME_PLACE * extent or turned > SAME_DIRECTION:
+        return False
+    return float(np.sqrt(np.mean((one.thumbnail - other.thumbnail) ** 2))) < SAME_PIXELS

@@ -1,0 +1,168 @@
+"""What training decides after a look at a capture, and captures without points."""
+
+import json
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+from test_refusals import refused
+
+import splatax as sx
+from captures import POINTS, write_capture, write_llff, write_transforms
+from splatax import cli
+from splatax.cli import preparing, train
+from splatax.cli.settings import Settings
+from splatax.dataset import PointCloud
+from splatax.inspection.decisions import Findings
+from splatax.io.datasets.points import read_points, write_points
+
+FOUND = PointCloud(np.tile(POINTS + [0, 0, 5], (4, 1)).astype(np.float32), np.full((120, 3), 0.2, np.float32))
+
+
+def prepared(capture, out, **options):
+    settings = Settings(capture, seed=1, **options)
+    out.mkdir(exist_ok=True)
+    return preparing.prepared(settings, preparing.loaded(settings), out)
+
+
+def told_to_find(monkeypatch, points):
+    monkeypatch.setattr(preparing.triangulation, "triangulated", lambda *_, **__: points)
+
+
+@pytest.mark.parametrize("write", [write_transforms, write_llff])
+def test_points_are_found_in_the_photos_of_a_capture_without_any(write, tmp_path, monkeypatch, capsys):
+    told_to_find(monkeypatch, FOUND)
+    capture = write(tmp_path / "capture")
+    before = sorted(capture.rglob("*"))
+    settings, dataset = prepared(capture, tmp_path / "out")
+    assert settings.points == tmp_path / "out" / "points.ply"
+    assert (settings.init, len(dataset.points)) == ("sfm", 120)
+    assert "finding points in 8 photos" in capsys.readouterr().out
+    again = preparing.loaded(settings)  # as a resumed run does
+    assert_array_equal(again.points.positions, dataset.points.positions)
+    assert sorted(capture.rglob("*")) == before
+
+
+def test_where_too_few_points_are_found_training_starts_at_random_and_says_where(
+    tmp_path, monkeypatch, capsys
+):
+    told_to_find(monkeypatch, PointCloud(FOUND.positions[:3], FOUND.colors[:3]))
+    settings, dataset = prepared(write_transforms(tmp_path / "capture"), tmp_path / "out")
+    assert (settings.init, settings.points, len(dataset.points)) == ("random", None, 0)
+    out = capsys.readouterr().out
+    assert "only 3 points found, at least 100 are needed" in out
+    assert "starting from 20,000 random Gaussians in front of the cameras, " in out
+    told_to_find(monkeypatch, None)  # and nothing is looked for if random is asked for
+    assert prepared(write_llff(tmp_path / "b"), tmp_path / "out", init="random")[0].init == "random"
+
+
+def test_a_capture_without_points_is_trained_and_the_run_repeated(tmp_path):
+    """The photos are noise, so training starts at random."""
+    capture, run = write_llff(tmp_path / "capture"), tmp_path / "run"
+    cli.main(["train", str(capture), "--out", str(run), "--steps", "2", "--max-gaussians", "20000"])
+    options = json.loads((run / "config.json").read_text())["options"]
+    assert (options["init"], options["leave_out"], options["appearance"]) == ("random", "none", "none")
+    cli.main(["train", "--repeat", str(run), "--out", str(tmp_path / "again")])
+    assert (tmp_path / "again" / "scene.ply").read_bytes() == (run / "scene.ply").read_bytes()
+
+
+def test_points_of_ones_own_are_started_from(tmp_path, capsys):
+    write_points(tmp_path / "mine.ply", FOUND)
+    assert_array_equal(read_points(tmp_path / "mine.ply").positions, FOUND.positions)
+    capture = write_capture(tmp_path / "capture")
+    dataset = preparing.loaded(Settings(capture, points=tmp_path / "mine.ply"))
+    assert len(dataset.points) == 120
+    assert "120 points from mine.ply" in dataset.notes
+    assert "none.ply: no such file" in refused(capsys, "train", capture, "--points", tmp_path / "none.ply")
+
+
+def test_every_decision_is_said_with_the_option_that_overrides_it(tmp_path, monkeypatch, capsys):
+    findings = Findings(("photo01.png",), {"photo02.png": "photo03.png"}, 0.31, 9)
+    monkeypatch.setattr(preparing, "look_first", lambda _: findings)
+    capture = write_capture(tmp_path / "capture")
+    settings, dataset = prepared(capture, tmp_path)
+    assert settings.leave_out == "photo01.png\nphoto02.png\n"
+    assert settings.appearance == "exposure"
+    assert len(dataset.train) == 6
+    assert capsys.readouterr().out.splitlines() == [
+        "left out of training, blurred compared with the rest: photo01.png. Use all photos: --leave-out none",
+        "left out of training, the same photo as another: photo02.png (as photo03.png). Use all photos: "
+        "--leave-out none",
+        "exposure differs between photos by 0.31 stops (standard deviation), so it is compensated. Turn that "
+        "off: --appearance none",
+    ]
+    again = preparing.loaded(settings)  # as a resumed run does
+    assert [view.name for view in again.train] == [view.name for view in dataset.train]
+    assert "2 photos left out of training: photo01.png, photo02.png" in again.notes
+    overridden, dataset = prepared(capture, tmp_path, leave_out="none", appearance="none")
+    assert (overridden.leave_out, overridden.appearance, len(dataset.train)) == ("none", "none", 8)
+    assert not capsys.readouterr().out
+
+
+def test_if_most_photos_would_be_left_out_all_are_used(tmp_path, monkeypatch, capsys):
+    repeated = {f"photo0{i}.png": "photo08.png" for i in range(8)}
+    monkeypatch.setattr(preparing, "look_first", lambda _: Findings(repeated=repeated))
+    settings, dataset = prepared(write_capture(tmp_path / "capture"), tmp_path)
+    assert (settings.leave_out, len(dataset.train)) == ("none", 8)
+    assert "most photos are blurred or repeat another, so all are used" in capsys.readouterr().out
+
+
+def test_photos_to_leave_out_can_be_named(tmp_path, capsys):
+    capture = write_capture(tmp_path / "capture")
+    named = Settings(capture, leave_out="photo00,photo08.png").absolute()
+    assert preparing.loaded(named).train[0].name == "photo01.png"
+    assert len(preparing.loaded(named).train) == 6
+    assert "no such photo" in refused(capsys, "train", capture, "--leave-out", "photo99", "--steps", 1)
+
+
+def test_without_options_training_has_a_budget(tmp_path, monkeypatch, capsys):
+    limited = []
+    monkeypatch.setattr(train.Train, "train", lambda self, settings, *_, **__: limited.append(settings))
+    cli.main(["train", "capture"])
+    assert limited[-1].budget == "6min"
+    assert "training for 6min. Choose another time: --budget" in capsys.readouterr().out
+    for options in ("--steps 5", "--recipe classic", "--recipe mcmc --steps 7"):
+        cli.main(["train", "capture", *options.split()])
+        assert limited[-1].budget is None
+    cli.main(["train", "capture", "--budget", "90s"])
+    assert limited[-1].budget == "90s"
+
+
+def test_a_limit_of_the_whole_command_leaves_time_for_the_results(tmp_path, capsys, monkeypatch):
+    limited = []
+    monkeypatch.setattr(train.Train, "train", lambda self, *given, **__: limited.append(given))
+    cli.main(["train", "capture", "--within", "100s"])
+    _, _, deadline = limited[0]
+    dataset = sx.load_dataset(write_capture(tmp_path / "capture"))
+    assert 60 < deadline.left(dataset) < 96
+    both = refused(capsys, "train", "capture", "--within", "9s", "--budget", "9s")
+    assert "--within: limits the whole command, --budget the training" in both
+    assert "--within: plans" in refused(capsys, "train", "capture", "--within", "9s", "--steps", 4)
+    assert "--within: a run that" in refused(capsys, "train", "--resume", "runs/x", "--within", "9s")
+
+
+def test_held_out_photos_can_be_chosen_and_eval_keeps_to_them(tmp_path, capsys):
+    capture, run = write_capture(tmp_path / "capture"), tmp_path / "run"
+    cli.main(["train", str(capture), "--out", str(run), "--steps", "2", "--hold-out", "last:2"])
+    protocol = json.loads((run / "metrics.json").read_text())["protocol"]
+    assert protocol["split"] == "held out: the last 2 photos by name"
+    cli.main(["eval", str(run), str(capture), "--out", str(tmp_path / "eval.json")])
+    scores = json.loads((tmp_path / "eval.json").read_text())
+    assert [view["name"] for view in scores["views"]] == ["photo07.png", "photo08.png"]
+    cli.main(["eval", str(run), str(capture), "--out", str(tmp_path / "e.json"), "--hold-out", "every:8:1"])
+    other = json.loads((tmp_path / "e.json").read_text())
+    assert [view["name"] for view in other["views"]] == ["photo00.png", "photo08.png"]
+
+
+def test_a_run_on_all_photos_does_not_pass_for_a_test(tmp_path):
+    capture, run = write_capture(tmp_path / "capture"), tmp_path / "run"
+    cli.main(["train", str(capture), "--out", str(run), "--steps", "2", "--hold-out", "none"])
+    assert json.loads((run / "metrics.json").read_text())["test"] is None
+    report = (run / "report.html").read_text()
+    assert "PSNR of 9 photos that it was trained on" in report
+    assert "trained on all 9 photos, so none of them can tell" in report
+
+
+def test_version_is_printed(capsys):
+    cli.main(["--version"])
+    assert capsys.readouterr().out == f"splatax {sx.__version__}\n"

@@ -1,0 +1,80 @@
+"""A look at the photos before training."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy import ndimage
+
+import splatax as sx
+from splatax.inspection import decisions
+from splatax.inspection.decisions import look_first
+
+PHOTOS = 18
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    """The synthetic still life, with its photos on disk."""
+    folder = tmp_path_factory.mktemp("photos")
+    dataset = sx.demo_dataset(photos=PHOTOS, width=96, height=72)
+    for view in dataset.views:
+        Image.fromarray(view.pixels()).save(folder / view.name)
+    return replace(
+        dataset,
+        survey=replace(dataset.survey, files={view.name: folder / view.name for view in dataset.views}),
+    )
+
+
+def changed(dataset, folder, changes):
+    """The capture with some of its photos changed, by name."""
+    files = dict(dataset.survey.files)
+    for name, change in changes.items():
+        pixels = np.asarray(Image.open(files[name])).astype(float)
+        files[name] = folder / name
+        Image.fromarray(np.clip(np.round(change(pixels)), 0, 255).astype(np.uint8)).save(files[name])
+    return replace(dataset, survey=replace(dataset.survey, files=files))
+
+
+def test_even_photos_need_nothing(plain):
+    found = look_first(plain)
+    assert found.seen == PHOTOS
+    assert not found.blurred
+    assert not found.repeated
+    assert found.exposure < 0.05
+    assert not found.uneven
+
+
+def test_exposure_that_differs_is_measured_in_stops_whatever_the_photos_show(plain, tmp_path):
+    stops = np.random.default_rng(0).normal(0, 0.25, PHOTOS)
+    stops -= stops.mean()
+    brighter = {
+        view.name: lambda pixels, by=by: pixels * 2.0**by for view, by in zip(plain.views, stops, strict=True)
+    }
+    found = look_first(changed(plain, tmp_path, brighter))
+    assert found.uneven
+    assert found.exposure == pytest.approx(stops.std(), rel=0.2)
+
+
+def test_blurred_photos_are_left_out_unless_there_are_few(plain, tmp_path, monkeypatch):
+    names = [plain.train[2].name, plain.test[1].name]
+    blurred = changed(plain, tmp_path, dict.fromkeys(names, lambda p: ndimage.gaussian_filter(p, (3, 3, 0))))
+    monkeypatch.setattr(decisions, "FEW", 10)
+    assert look_first(blurred).blurred == (names[0],)  # a held-out one is not trained on anyway
+    monkeypatch.setattr(decisions, "FEW", PHOTOS)
+    assert not look_first(blurred).blurred
+
+
+def test_photos_that_repeat_another_are_left_out_above_all_those_of_held_out_ones(plain):
+    kept, held_out = plain.train[3], plain.test[1]
+    files = plain.survey.files
+    files = files | {"z1.png": files[kept.name], "a.png": files[held_out.name]}
+    again = replace(kept, name="z1.png"), replace(held_out, name="a.png")
+    twice = replace(plain, train=(*plain.train, *again), survey=replace(plain.survey, files=files))
+    assert look_first(twice).repeated == {"z1.png": kept.name, "a.png": held_out.name}
+
+
+def test_the_same_colours_from_another_place_are_no_repetition(plain, tmp_path):
+    grey = changed(plain, tmp_path, {view.name: lambda pixels: 0 * pixels + 90 for view in plain.views})
+    assert not look_first(grey).repeated

@@ -224,9 +224,10 @@ def test_other_options_are_refused_and_named(stopped, capsys, tmp_path):
 
 
 def test_a_capture_that_changed_is_refused(stopped, tmp_path, capsys):
-    other = write_capture(tmp_path / "other", count=8)
+    other = write_capture(tmp_path / "other", count=10)
+    (other / "test.txt").write_text("photo04.png\nphoto05.png\n")
     error = refused(capsys, go_on, stopped, other)
-    assert "the capture of the run changed: photos was 8 to train on and 1 held out, is 7 " in error
+    assert "the capture of the run changed: photos was 8 to train on and 1 held out, is 8 " in error
     wider = write_capture(tmp_path / "wider")
     points = wider / "sparse" / "0" / "points3D.bin"
     contents = bytearray(points.read_bytes())

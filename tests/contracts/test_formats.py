@@ -255,8 +255,9 @@ def test_flipped_bytes_are_refused_or_read_as_something(sound, seed):
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_counts_of_billions_ask_for_no_memory(sound):
     path, contents = sound
+    values = (b"\xff\xff\xff\xff", b"\xff\xff\xff\x7f", b"\x00\x00\x00\x10")
     for place in range(0, min(400, len(contents) - 4)):
-        for value in (b"\xff\xff\xff\xff", b"\xff\xff\xff\x7f", b"\x00\x00\x00\x10"):
+        for value in values if place < 64 else values[place % 3 :][:1]:  # most counts stand at the beginning
             refused_or_read(path, contents[:place] + value + contents[place + 4 :])
 
 

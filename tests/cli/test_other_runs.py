@@ -28,7 +28,7 @@ def test_a_run_of_inria_is_scored_as_it_was_trained(inria, trained, capture, tmp
     cli.main(["eval", str(inria), str(capture), "--out", str(tmp_path / "theirs.json")])
     assert "trained on all photos" in capsys.readouterr().out
     same = [str(trained), str(capture), "--background", "white", "--low-pass", "antialiasing"]
-    cli.main(["eval", *same, "--out", str(tmp_path / "ours.json")])
+    cli.main(["eval", *same, "--hold-out", "every:8:1", "--out", str(tmp_path / "ours.json")])
     theirs, ours = (json.loads((tmp_path / f"{name}.json").read_text()) for name in ("theirs", "ours"))
     assert theirs["model"].endswith("iteration_30000/point_cloud.ply")
     assert theirs["views"] == ours["views"]

@@ -92,7 +92,7 @@ def test_changes_repeat_without_a_clock():
 
 def test_steps_of_this_machine_are_measured():
     with jax.numpy_dtype_promotion("standard"):  # as optax needs it
-        costs = measured((40, 30), Recipe(backend="xla", resolution=Resolution(((1, 2),))))
+        costs = measured((40, 30), Recipe(resolution=Resolution(((1, 2),))))
     for cost in (costs.coarse, costs.fine):
         assert cost.base > 0
         assert cost.each >= 0

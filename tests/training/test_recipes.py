@@ -101,8 +101,8 @@ def test_room_grows_with_pixels_and_with_the_root_of_the_number_of_photos():
 def test_default_beats_classic_at_equal_steps(tmp_path):
     write_capture(tmp_path)
     dataset = sx.load_dataset(tmp_path)
-    classic = sx.fit(dataset, PRESETS["classic"].build(steps=2000))
-    default = sx.fit(dataset, PRESETS["default"].build(steps=2000, max_gaussians=len(classic)))
+    classic = sx.fit(dataset, PRESETS["classic"].build(steps=1000))
+    default = sx.fit(dataset, PRESETS["default"].build(steps=1000, max_gaussians=len(classic)))
     assert len(default) <= len(classic)
     scores = [sx.evaluate(gaussians, dataset.test).psnr for gaussians in (default, classic)]
     assert scores[0] > scores[1] + 0.5

@@ -6,6 +6,7 @@ because it needs what is not here, such as a notebook or another package.
 
 import ast
 import os
+import re
 import runpy
 import subprocess
 import sys
@@ -80,3 +81,9 @@ def test_the_reference_is_what_the_docstrings_say():
     script = runpy.run_path(str(ROOT / "docs" / "make_reference.py"))
     committed = GENERATED.read_text(encoding="utf-8")
     assert script["page"]() == committed, "run: python docs/make_reference.py"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_to_files_lead_to_files(page):
+    targets = re.findall(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)", page.read_text())
+    assert [target for target in targets if not (page.parent / target).exists()] == []

@@ -1,5 +1,7 @@
 """Tiny scenes for tests."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 
@@ -7,6 +9,7 @@ from splatax.cameras import Camera, look_at
 from splatax.gaussians import Gaussians
 from splatax.math import harmonics
 from splatax.splats import MIN_ALPHA, Splats
+from splatax.training.capacity import bucket_for, pad
 
 RED, GREEN, BLUE = np.eye(3, dtype=np.float32)
 
@@ -72,3 +75,11 @@ def camera_at(
     pose = look_at(*(jnp.asarray(v, dtype) for v in (position, target, (0.0, -1.0, 0.0))))
     cx, cy = size[0] / 2 + 0.7, size[1] / 2 - 0.4
     return Camera(*(jnp.asarray(v, dtype) for v in (focal, focal * 1.05, cx, cy)), pose, *size)
+
+
+def with_slots(opacities, **settings) -> Gaussians:
+    """Random Gaussians of these opacities, and empty slots, as in training."""
+    opacities = np.array(opacities)
+    logits = jnp.asarray(np.log(opacities / (1 - opacities)), jnp.float32)
+    gaussians = replace(random_gaussians(n=len(opacities), **settings), opacity_logits=logits)
+    return pad(gaussians, bucket_for(len(opacities)))

@@ -91,6 +91,11 @@ def test_options_out_of_range(capture, tmp_path, capsys, options, named):
     assert not (tmp_path / "run").exists()
 
 
+def test_a_list_of_photos_that_is_not_there(capture, tmp_path, capsys):
+    error = refused(capsys, "train", capture, "--out", tmp_path, "--hold-out", tmp_path / "missing.txt")
+    assert "missing.txt: the list of photos cannot be read (No such file or directory).\n" in error
+
+
 def test_output_that_cannot_be_written(capture, tmp_path, capsys):
     (tmp_path / "file").write_text("")
     assert "a file, not a folder" in refused(capsys, "train", capture, "--out", tmp_path / "file")

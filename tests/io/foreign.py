@@ -40,6 +40,16 @@ def in_camera(i, point):
     return rotation.T @ (point - eye)
 
 
+def before_distortion(i, point, kind):
+    """Where a lens of no distortion shows a point, at focal length 1."""
+    x, y, z = in_camera(i, point)
+    x, y = x / z, y / z
+    if kind != "fisheye":
+        return x, y
+    r = np.hypot(x, y)
+    return x * np.arctan(r) / r, y * np.arctan(r) / r
+
+
 def write_photos(folder, project, names=NAMES):
     """Photos with a small round dot at the projection of each point."""
     y, x = np.mgrid[:HEIGHT, :WIDTH] + 0.5
@@ -67,11 +77,7 @@ def metashape(folder, kind="frame", names=NAMES, **extra):
     values |= {"b1": 2.0, **extra}
 
     def project(i, point):
-        x, y, z = in_camera(i, point)
-        x, y = x / z, y / z
-        if kind == "fisheye":
-            r = np.hypot(x, y)
-            x, y = x * np.arctan(r) / r, y * np.arctan(r) / r
+        x, y = before_distortion(i, point, kind)
         r2, get = x * x + y * y, values.get
         radial = 1 + get("k1") * r2 + get("k2") * r2**2 + get("k3") * r2**3
         u = x * radial + get("p1") * (r2 + 2 * x * x) + 2 * get("p2") * x * y
@@ -239,11 +245,7 @@ def opensfm(folder, kind="brown", names=NAMES):
         camera["focal"] = 0.8
 
     def project(i, point):
-        x, y, z = in_camera(i, point)
-        x, y = x / z, y / z
-        if kind == "fisheye":
-            r = np.hypot(x, y)
-            x, y = x * np.arctan(r) / r, y * np.arctan(r) / r
+        x, y = before_distortion(i, point, kind)
         r2 = x * x + y * y
         radial = 1 + K1 * r2 + K2 * r2**2 + camera.get("k3", 0) * r2**3
         p1, p2 = camera.get("p1", 0), camera.get("p2", 0)

@@ -5,7 +5,7 @@ import pytest
 import splatax as sx
 from scenes import random_gaussians
 from splatax.errors import InputError
-from splatax.runs.other_programs import scene_at
+from splatax.runs.scene_files import scene_at
 from torch_files import write_checkpoint
 
 CFG_ARGS = (

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from scenes import camera_at, random_gaussians
+from scenes import camera_at, random_gaussians, with_slots
 from splatax.rendering import render
-from splatax.training.capacity import bucket_for, pad
+from splatax.training.capacity import pad
 from splatax.training.density.growth import ByFactor, ByStep
 from splatax.training.density.mcmc import MAX_COPIES, Mcmc, in_proportion, relocated
 from splatax.training.noise import Langevin, NoNoise
@@ -19,14 +19,6 @@ from splatax.training.priors import NoPrior, Sparsity
 
 KEY = jax.random.key(0)
 NO_GROWTH = Mcmc(growth=ByFactor(1.0))
-
-
-def scene(opacities, **settings):
-    """Gaussians of these opacities, and empty slots."""
-    opacities = np.array(opacities)
-    logits = jnp.asarray(np.log(opacities / (1 - opacities)), jnp.float32)
-    gaussians = replace(random_gaussians(n=len(opacities), **settings), opacity_logits=logits)
-    return pad(gaussians, bucket_for(len(opacities)))
 
 
 def refine(gaussians, count, strategy=NO_GROWTH, step=600, key=KEY):
@@ -60,7 +52,7 @@ def test_the_factor_is_that_of_the_paper():
 
 def test_relocation_leaves_the_picture():
     opacities = np.tile([0.3, 0.6, 0.9, 0.001], 30)  # a quarter is dead, and too faint to be seen
-    gaussians, camera = scene(opacities, degree=0), camera_at()
+    gaussians, camera = with_slots(opacities, degree=0), camera_at()
     before = np.asarray(render(gaussians, camera).rgb)
     refined = refine(gaussians, 120)
     change = np.abs(np.asarray(render(refined.gaussians, camera).rgb) - before)
@@ -77,7 +69,7 @@ def test_relocation_leaves_the_picture():
 
 def test_the_dead_go_where_the_living_are_and_all_concerned_lose_their_moments():
     opacities = [0.5, 0.004, 0.9, 0.0049, 0.7]
-    refined = refine(scene(opacities), 5)
+    refined = refine(with_slots(opacities), 5)
     parent, newborn = np.asarray(refined.lineage.parent), np.asarray(refined.lineage.newborn)
     assert refined.count == 5
     assert_array_equal(parent[[0, 2, 4]], [0, 2, 4])
@@ -90,7 +82,7 @@ def test_the_dead_go_where_the_living_are_and_all_concerned_lose_their_moments()
 
 
 def test_the_untouched_and_the_empty_stay_as_they_are():
-    gaussians = scene([0.5, 0.004, 0.9, 0.8])
+    gaussians = with_slots([0.5, 0.004, 0.9, 0.8])
     refined = refine(gaussians, 4)
     rest = np.flatnonzero(~np.asarray(refined.lineage.newborn[:4]))
     assert len(rest) == 2
@@ -100,7 +92,7 @@ def test_the_untouched_and_the_empty_stay_as_they_are():
 
 
 def test_a_scene_without_life_is_left_alone():
-    gaussians = scene([0.001, 0.002])
+    gaussians = with_slots([0.001, 0.002])
     refined = refine(gaussians, 2)
     assert refined.count == 2
     assert_array_equal(refined.gaussians.means, gaussians.means)
@@ -114,7 +106,7 @@ def test_places_are_drawn_in_proportion_to_opacity():
 
 def test_growth_by_factor_stops_at_the_most():
     strategy = Mcmc(growth=ByFactor(1.5), max_gaussians=40)
-    gaussians, counts = scene([0.5] * 20), [20]
+    gaussians, counts = with_slots([0.5] * 20), [20]
     for _ in range(3):
         refined = refine(gaussians, counts[-1], strategy)
         gaussians, counts = refined.gaussians, [*counts, refined.count]
@@ -131,11 +123,11 @@ def test_growth_by_step_reaches_the_most_by_equal_factors():
 
 
 def test_more_points_than_the_most_are_kept():
-    assert refine(scene([0.5] * 20), 20, Mcmc(max_gaussians=10)).count == 20
+    assert refine(with_slots([0.5] * 20), 20, Mcmc(max_gaussians=10)).count == 20
 
 
 def test_another_key_takes_other_places():
-    gaussians = scene([0.5] * 50 + [0.001] * 10)
+    gaussians = with_slots([0.5] * 50 + [0.001] * 10)
     parents = [np.asarray(refine(gaussians, 60, key=jax.random.key(i)).lineage.parent) for i in (0, 0, 1)]
     assert_array_equal(parents[0], parents[1])
     assert np.any(parents[0] != parents[2])

@@ -8,23 +8,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from scenes import camera_at, random_gaussians
+from scenes import camera_at, random_gaussians, with_slots
 from splatax.rendering import project, render
-from splatax.training.capacity import bucket_for, pad
+from splatax.training.capacity import pad
 from splatax.training.density import ByFactor, Splitting
 from splatax.training.density.splitting import Observed, without_replacement
 from splatax.training.optimizer import ViewDepth
 
 KEY = jax.random.key(0)
 DOUBLES = Splitting(growth=ByFactor(2.0))
-
-
-def scene(opacities, **settings):
-    """Gaussians of these opacities, and empty slots."""
-    opacities = np.array(opacities)
-    logits = jnp.asarray(np.log(opacities / (1 - opacities)), jnp.float32)
-    gaussians = replace(random_gaussians(n=len(opacities), **settings), opacity_logits=logits)
-    return pad(gaussians, bucket_for(len(opacities)))
 
 
 def refine(gaussians, pulls, strategy=DOUBLES, key=KEY):
@@ -47,7 +39,7 @@ def test_children_lie_on_both_sides_of_their_parent_along_its_longest_axis():
 
 
 def test_a_split_hardly_changes_the_picture():
-    gaussians = scene([0.3] * 40)
+    gaussians = with_slots([0.3] * 40)
     refined = refine(gaussians, [1.0] * 40)
     assert refined.count == 80
     before, after = (render(g, camera_at(), backend="xla").rgb for g in (gaussians, refined.gaussians))
@@ -57,21 +49,21 @@ def test_a_split_hardly_changes_the_picture():
 
 def test_the_dead_are_moved_first_and_never_become_parents():
     opacities = [0.5, 0.001, 0.5, 0.002, 0.5, 0.5]
-    refined = refine(scene(opacities), [1.0, 9.0, 1.0, 9.0, 1.0, 1.0], Splitting(growth=ByFactor(1.0)))
+    refined = refine(with_slots(opacities), [1.0, 9.0, 1.0, 9.0, 1.0, 1.0], Splitting(growth=ByFactor(1.0)))
     assert refined.count == 6
     assert set(np.asarray(refined.lineage.parent)[[1, 3]]) <= {0, 2, 4, 5}
     assert np.all(np.asarray(refined.gaussians.opacities)[:6] > 0.3)
 
 
 def test_nothing_is_split_that_no_pixel_pulls():
-    refined = refine(scene([0.5] * 6), [0, 2, 0, 3, 0, 0])
+    refined = refine(with_slots([0.5] * 6), [0, 2, 0, 3, 0, 0])
     assert refined.count == 8
     assert sorted(np.asarray(refined.lineage.parent)[6:8]) == [1, 3]
     assert_array_equal(np.flatnonzero(~np.asarray(refined.lineage.newborn)), [0, 2, 4, 5])
 
 
 def test_a_scene_that_no_view_has_seen_is_left_alone():
-    gaussians = scene([0.5, 0.001, 0.5])
+    gaussians = with_slots([0.5, 0.001, 0.5])
     refined = refine(gaussians, [0.0, 0.0, 0.0])
     assert refined.count == 3
     assert_array_equal(refined.gaussians.means[:3], gaussians.means[:3])
@@ -79,9 +71,10 @@ def test_a_scene_that_no_view_has_seen_is_left_alone():
 
 
 def test_a_parent_is_split_once_and_the_maximum_is_kept():
-    assert refine(scene([0.5] * 10), [1.0] * 10, Splitting(growth=ByFactor(9.0))).count == 20
+    assert refine(with_slots([0.5] * 10), [1.0] * 10, Splitting(growth=ByFactor(9.0))).count == 20
     assert (
-        refine(scene([0.5] * 10), [1.0] * 10, Splitting(growth=ByFactor(2.0), max_gaussians=13)).count == 13
+        refine(with_slots([0.5] * 10), [1.0] * 10, Splitting(growth=ByFactor(2.0), max_gaussians=13)).count
+        == 13
     )
 
 

@@ -107,7 +107,15 @@ class Create:
             return
         photos, method = self.start(capture)
         run = Train(
-            capture, out, self.named(), True, photos, self.limits, method, self.saving, live=self.live
+            capture,
+            out=out,
+            title=self.named(),
+            overwrite=True,
+            photos=photos,
+            limits=self.limits,
+            method=method,
+            saving=self.saving,
+            live=self.live,
         )
         judge = None
         if photos.hold_out is None:

@@ -15,7 +15,7 @@ from splatax.cli.output import say
 from splatax.dataset import resplit
 from splatax.errors import InputError
 from splatax.low_pass import LOW_PASSES
-from splatax.runs.other_programs import scene_at
+from splatax.runs.scene_files import scene_at
 from splatax.splits import Every, parse_hold_out
 from splatax.training.appearance import APPEARANCES
 from splatax.training.backgrounds import BACKGROUNDS
@@ -73,10 +73,12 @@ def parsed(name: str, text: str, read: Callable[[str], Value]) -> Value:
     """Returns what the text of an option stands for.
 
     Raises:
-        InputError: naming the option, if it stands for nothing.
+        InputError: naming the option, if it stands for nothing; or of the file that the text names.
     """
     try:
         return read(text)
+    except InputError:
+        raise
     except ValueError as error:
         raise InputError(f"{flag(name)}: {error}.") from error
 
@@ -94,7 +96,7 @@ class Model:
 def read_model(path: Path, low_pass: str | None) -> Model:
     """Reads a splat file, or the scene in the folder of a run, and the options of the run.
 
-    Runs are those of splatax, of INRIA's 3DGS and of gsplat; see `runs.other_programs`.
+    Runs are those of splatax, of INRIA's 3DGS and of gsplat; see `runs.scene_files`.
 
     Args:
         path: of the file or folder.

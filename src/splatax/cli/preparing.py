@@ -17,7 +17,7 @@ from splatax.reconstruction import triangulation
 from splatax.splits import Listed, listed_in
 from splatax.training.initialize import InFrusta, focus_distance
 
-LARGEST_FRACTION = 0.5  # of the training photos that are left out
+MOST_LEFT_OUT = 0.5  # of the training photos that are left out
 POINTS = "points.ply"  # in the folder of a run that had to find its points
 FEWEST_POINTS = 100  # from which triangulated points are a better start than random ones
 
@@ -72,7 +72,7 @@ def prepared(settings: Settings, dataset: sx.Dataset, out: Path) -> tuple[Settin
     findings = look_first(dataset)
     if settings.leave_out == "auto":
         names, lines = spared_by(findings)
-        if len(names) > LARGEST_FRACTION * len(dataset.train):
+        if len(names) > MOST_LEFT_OUT * len(dataset.train):
             names, lines = [], []
             say(
                 "most photos are blurred or repeat another, so all are used. Leave some out: --leave-out LIST"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from splatax.dataset import Dataset, PointCloud, View, hold_out
+from splatax.dataset import Dataset, PointCloud, View
 from splatax.errors import DatasetError
 from splatax.io.datasets import depths, masks, photos
 from splatax.io.datasets.capture import Capture, Frame
@@ -17,6 +17,8 @@ FAR = 1000  # times the size of the set of cameras: farther from the origin, flo
 
 def dataset_of(capture: Capture, downscale: int | None) -> Dataset:
     """Returns the data set of a capture; see `load_dataset`.
+
+    All views are for training unless the capture's own files part them.
 
     Raises:
         DatasetError: if no photo is there, a photo or a camera cannot be used, or all photos are held out.
@@ -41,7 +43,7 @@ def dataset_of(capture: Capture, downscale: int | None) -> Dataset:
     ]
     factor = photos.shrink_factor(sources, capture.already, downscale)
     views = [source.view(factor) for source in sources]
-    train, test = hold_out(views) if capture.held_out is None else parted(capture, views, named)
+    train, test = (tuple(views), ()) if capture.held_out is None else parted(capture, views, named)
     points = capture.points
     measured: tuple[str, ...] = ()
     if not len(points):

@@ -1,7 +1,7 @@
 """Relocation and growth by splitting: new Gaussians go where pixels pull hardest.
 
 A copy that lies exactly on its parent gets the gradients of its parent, so the two stay together. Here the
-parent is split along its longest axis instead (Improved-GS, Deng et al. 2025, arXiv 2508.12313), and a parent
+parent is split along its longest axis instead (Improved-GS, arXiv 2508.12313), and a parent
 is chosen with a probability that grows with the pull on it, not with its opacity.
 """
 

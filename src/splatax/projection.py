@@ -1,9 +1,9 @@
-"""EWA projection of 3D Gaussians to the 2D Gaussians of one view.
+"""Projection of 3D Gaussians to the 2D Gaussians of one view, through any lens.
 
     Sigma' = J W Sigma W^T J^T + 0.3 I         (Zwicker et al. 2001; Kerbl et al. 2023, Eq. 5)
 
-W is the camera's rotation and J the Jacobian of the perspective at the mean. The code keeps the
-2 x 3 factor J W R S instead of Sigma: see `math.ellipsoids`.
+W is the camera's rotation and J the Jacobian of the lens at the mean; `footprints` has this and the unscented
+transform. The code keeps the 2 x 3 factor J W R S instead of Sigma: see `math.ellipsoids`.
 """
 
 from typing import NamedTuple
@@ -13,15 +13,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from splatax.cameras import Camera
+from splatax.footprints import EWA, Method
 from splatax.gaussians import Gaussians, is_sound
 from splatax.low_pass import LowPass
 from splatax.math import ellipsoids, harmonics
 from splatax.splats import MIN_ALPHA, Splats
 
-NEAR = 0.01  # world units of camera z; nearer is culled (as gsplat does)
-MAX_SLOPE = 1e6  # |x / z| beyond which the perspective of a mean overflows; culled
 MAX_LOG_SCALE = 40.0  # e^40 squared still fits float32
-FRUSTUM_MARGIN = 0.3  # of half the image: margin up to which J follows the mean (as in gsplat)
 
 
 class Projected(NamedTuple):
@@ -35,17 +33,21 @@ class Projected(NamedTuple):
     opacity: Float[Array, ""]
 
 
-def project(gaussians: Gaussians, camera: Camera, low_pass: LowPass) -> Splats:
+def project(gaussians: Gaussians, camera: Camera, low_pass: LowPass, method: Method = EWA) -> Splats:
     """Projects all Gaussians to one view. This portable kernel defines the results of all other kernels.
 
-    A row is culled if the Gaussian is nearer than `NEAR`, less opaque than 1/255, outside the image, too
-    large for float32 or broken (see `gaussians.is_sound`). Culled rows have zero extent and a zero gradient,
-    and do not affect the gradient of the camera; their other numbers are finite.
+    A row is culled if the lens does not see the Gaussian (nearer than 0.01, behind a perspective), or it is
+    less opaque than 1/255, outside the image, too large for float32 or broken (see `gaussians.is_sound`).
+    Culled rows have zero extent and a zero gradient, and do not affect the gradient of the camera; their
+    other numbers are finite.
+
+    Colour is seen along the ray from the camera's position in the middle of the exposure.
 
     Args:
         gaussians: n Gaussians.
         camera: camera of the view.
         low_pass: filter against aliasing.
+        method: way to find footprints.
 
     Returns:
         n splats in the same order.
@@ -53,7 +55,7 @@ def project(gaussians: Gaussians, camera: Camera, low_pass: LowPass) -> Splats:
     position = camera.position
 
     def one(mean, quat, log_scale, logit, sh):
-        return project_one(mean, quat, log_scale, logit, sh, camera, position, low_pass)
+        return project_one(mean, quat, log_scale, logit, sh, camera, position, low_pass, method)
 
     rows = jax.vmap(one)(*jax.tree.leaves(gaussians))
     return Splats(
@@ -65,6 +67,7 @@ def project(gaussians: Gaussians, camera: Camera, low_pass: LowPass) -> Splats:
         opacities=rows.opacity,
         width=camera.width,
         height=camera.height,
+        period=period_of(camera),
     )
 
 
@@ -77,6 +80,7 @@ def project_one(
     camera: Camera,
     position: Float[Array, "3"],
     low_pass: LowPass,
+    method: Method,
 ) -> Projected:
     """Projects one Gaussian; `position` is the camera's, computed once for all of them."""
     # Operands are replaced before use, so that culled rows do not propagate NaN in the backward pass.
@@ -84,61 +88,59 @@ def project_one(
     mean, quat, log_scale, logit, sh = (
         jnp.where(sound, field, 0) for field in (mean, quat, log_scale, logit, sh)
     )
-    point = camera.to_camera(mean)
-    in_front = sound & (point[2] > NEAR) & jnp.isfinite(point[2])
-    in_front &= jnp.all(jnp.abs(point[:2]) < MAX_SLOPE * point[2])
-    point = jnp.where(in_front, point, jnp.array([0, 0, 1], point.dtype))
-    mean2d = camera.to_pixel(point)
+    point = camera.rotation @ mean + camera.translation
+    seen = sound & camera.lens.sees(point)
+    ahead = jnp.array([0, 0, 1], point.dtype)  # what every lens sees
+    if camera.motion is None:
+        point = jnp.where(seen, point, ahead)
+    else:
+        mean = jnp.where(seen, mean, position + camera.rotation.T @ ahead)
+        point = camera.to_camera(mean)
 
     scale = jnp.exp(jnp.minimum(log_scale, MAX_LOG_SCALE))
-    factor = perspective_jacobian(point, camera) @ camera.rotation @ ellipsoids.covariance_factor(quat, scale)
-    usable = in_front & jnp.isfinite(jnp.sum(jnp.square(jnp.sum(factor * factor))))
-    factor = jnp.where(usable, factor, 0)
-    blurred = ellipsoids.determinant_of_rows(factor, jnp.asarray(low_pass.variance, factor.dtype))
-    sharp = ellipsoids.determinant_of_rows(factor, jnp.zeros((), factor.dtype))
+    found = method(camera, mean, point, ellipsoids.covariance_factor(quat, scale))
+    usable = seen & found.usable & jnp.isfinite(jnp.sum(jnp.square(jnp.sum(found.rows * found.rows))))
+    rows = jnp.where(usable, found.rows, 0)
+    variance = jnp.asarray(low_pass.variance, rows.dtype)
+    blurred = ellipsoids.determinant_of_rows(rows, found.weights, variance)
+    sharp = ellipsoids.determinant_of_rows(rows, found.weights, jnp.zeros_like(variance))
     usable &= blurred > 0  # without a low-pass, a Gaussian can be too thin for its dtype
     blurred = jnp.where(usable, blurred, 1)
-    a, c = jnp.where(usable, jnp.sum(factor * factor, axis=1) + low_pass.variance, 1)
-    covariance = jnp.array([a, factor[0] @ factor[1], c])
+    a, c = jnp.where(usable, jnp.sum(found.weights[None] * rows * rows, axis=1) + low_pass.variance, 1)
+    covariance = jnp.array([a, jnp.sum(found.weights * rows[0] * rows[1]), c])
 
     opacity = jax.nn.sigmoid(logit) * low_pass.fade(sharp, blurred)
     reach = 2 * jnp.log(jnp.maximum(opacity / MIN_ALPHA, 1))  # squared sigmas at which alpha is 1/255
     extent = jnp.sqrt(reach * jnp.array([a, c]))
-    color = harmonics.evaluate(sh, direction(position, mean, usable)) + 0.5
+    ray = direction(position, mean, usable) if camera.lens.CENTRAL else camera.rotation[2]
+    color = harmonics.evaluate(sh, ray) + 0.5
     usable &= jnp.all(jnp.isfinite(color))
-    visible = usable & (opacity >= MIN_ALPHA) & overlaps_image(mean2d, extent, camera)
+    visible = usable & (opacity >= MIN_ALPHA) & overlaps_image(found.mean2d, extent, camera)
     return Projected(
-        mean2d,
+        found.mean2d,
         ellipsoids.sqrt_conic(covariance, blurred),
-        point[2],
+        camera.lens.depth(point),
         jnp.where(visible, extent, 0),
         jnp.maximum(jnp.where(usable, color, 0), 0),
         opacity,
     )
 
 
-def perspective_jacobian(point: Float[Array, "3"], camera: Camera) -> Float[Array, "2 3"]:
-    """Returns d pixel / d point; a point beside the frustum is clamped to the frustum's margin.
-
-    Beside the frustum J becomes very large, and a single splat would cover the whole image.
-    """
-    x, y, z = point
-    margin_x = FRUSTUM_MARGIN * 0.5 * camera.width
-    margin_y = FRUSTUM_MARGIN * 0.5 * camera.height
-    slope_x = jnp.clip(
-        x / z, -(camera.cx + margin_x) / camera.fx, (camera.width - camera.cx + margin_x) / camera.fx
-    )
-    slope_y = jnp.clip(
-        y / z, -(camera.cy + margin_y) / camera.fy, (camera.height - camera.cy + margin_y) / camera.fy
-    )
-    fx, fy, zero = camera.fx / z, camera.fy / z, jnp.zeros_like(z)
-    return jnp.array([[fx, zero, -fx * slope_x], [zero, fy, -fy * slope_y]])
+def period_of(camera: Camera) -> Float[Array, ""] | None:
+    """Returns after how many pixels the image repeats sideways; None if it does not."""
+    return None if camera.lens.PERIOD is None else camera.lens.PERIOD * camera.fx
 
 
 def overlaps_image(mean2d: Float[Array, "2"], extent: Float[Array, "2"], camera: Camera) -> Bool[Array, ""]:
-    """Returns whether the box of a splat overlaps the image."""
+    """Returns whether the box of a splat overlaps the image, at its place or a period beside it."""
     size = jnp.array([camera.width, camera.height], mean2d.dtype)
-    return jnp.all((mean2d + extent > 0) & (mean2d - extent < size))
+    period = period_of(camera)
+    places = [mean2d]
+    if period is not None:
+        shift = period * jnp.array([1, 0], mean2d.dtype)
+        places += [mean2d - shift, mean2d + shift]
+    overlaps = [jnp.all((place + extent > 0) & (place - extent < size)) for place in places]
+    return jnp.any(jnp.stack(overlaps))
 
 
 def direction(

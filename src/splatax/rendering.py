@@ -17,6 +17,7 @@ from splatax import gaussians as scenes
 from splatax import splats as views
 from splatax.backends.protocol import Kernels
 from splatax.cameras import Camera
+from splatax.footprints import EWA, Method
 from splatax.gaussians import Gaussians
 from splatax.low_pass import LowPass
 from splatax.shapes import check_arrays, check_dtypes
@@ -62,11 +63,13 @@ class Renderer:
         low_pass: filter, such as `Antialiasing(0.3)`; None for the one that the scene was trained
             with. Static.
         backend: "auto", the name of a backend, or kernels of your own. Static.
+        projection: `Ewa()` or `Unscented()`. Static.
     """
 
     background: BackgroundLike = (0.0, 0.0, 0.0)
     low_pass: LowPass | None = field(default=None, metadata={"static": True})
     backend: str | Kernels = field(default=backends.AUTO, metadata={"static": True})
+    projection: Method = field(default=EWA, metadata={"static": True})
 
     def __call__(
         self, gaussians: Gaussians, camera: Camera, features: Float[Array, "n f"] | None = None
@@ -74,7 +77,9 @@ class Renderer:
         """Renders a scene; see `render`."""
         scenes.checked(gaussians)
         kernels = backends.resolve(self.backend, _dtype(gaussians.means))
-        splats = project(gaussians, camera, low_pass=self.low_pass, backend=kernels)
+        splats = project(
+            gaussians, camera, low_pass=self.low_pass, backend=kernels, projection=self.projection
+        )
         return rasterize(splats, background=self.background, features=features, backend=kernels)
 
 
@@ -86,6 +91,7 @@ def render(
     features: Float[Array, "n f"] | None = None,
     low_pass: LowPass | None = None,
     backend: str | Kernels = backends.AUTO,
+    projection: Method = EWA,
 ) -> Rendering:
     """Renders a scene. Differentiable in all arrays: scene, camera, background and features.
 
@@ -96,12 +102,13 @@ def render(
         features: extra channels for each Gaussian, rendered beside colour.
         low_pass: filter, such as `Antialiasing(0.3)`; None for the one that the scene was trained with.
         backend: "auto", the name of a backend, or kernels of your own.
+        projection: how a Gaussian's image is found, `Ewa()` or `Unscented()`; see `splatax.footprints`.
 
     Raises:
         ValueError: if the shapes or dtypes of the arrays do not fit together, or the backend is unknown or
             not available here.
     """
-    return Renderer(background, low_pass, backend)(gaussians, camera, features)
+    return Renderer(background, low_pass, backend, projection)(gaussians, camera, features)
 
 
 def project(
@@ -110,17 +117,20 @@ def project(
     *,
     low_pass: LowPass | None = None,
     backend: str | Kernels = backends.AUTO,
+    projection: Method = EWA,
 ) -> Splats:
     """Projects a scene: the first half of `render`. Differentiable in the scene and the camera.
 
-    Culled rows have zero extent: those nearer than 0.01, more transparent than 1/255, beside the image, or
-    with a number that is not finite. They get a zero gradient, and leave that of the camera finite.
+    Culled rows have zero extent: those that the lens does not see (nearer than 0.01, or behind a pinhole),
+    more transparent than 1/255, beside the image, or with a number that is not finite. They get a zero
+    gradient, and leave that of the camera finite.
 
     Args:
         gaussians: the scene.
         camera: the view.
         low_pass: see `render`.
         backend: see `render`.
+        projection: see `render`.
 
     Returns:
         The 2D Gaussians that the camera sees, one row for each Gaussian, in the same order.
@@ -133,13 +143,16 @@ def project(
     dtype = check_dtypes(
         "Gaussians and Camera", {"means": gaussians.means, "cam_from_world": camera.cam_from_world}
     )
-    return _project(gaussians, camera, low_pass or gaussians.low_pass, backends.resolve(backend, dtype))
+    kernels = backends.resolve(backend, dtype)
+    return _project(gaussians, camera, low_pass or gaussians.low_pass, kernels, projection)
 
 
-@partial(jax.jit, static_argnames=("low_pass", "kernels"))
-def _project(gaussians: Gaussians, camera: Camera, low_pass: LowPass, kernels: Kernels) -> Splats:
+@partial(jax.jit, static_argnames=("low_pass", "kernels", "method"))
+def _project(
+    gaussians: Gaussians, camera: Camera, low_pass: LowPass, kernels: Kernels, method: Method
+) -> Splats:
     gaussians, camera = vary_together(gaussians, camera)
-    return kernels.project(gaussians, camera, low_pass)
+    return kernels.project(gaussians, camera, low_pass, method)
 
 
 def rasterize(
@@ -218,7 +231,7 @@ def composite(
 @partial(jax.jit, static_argnames="kernels")
 def _composite(splats: Splats, channels: Float[Array, "n c"], kernels: Kernels):
     splats, channels = vary_together(splats, channels)
-    return kernels.composite(splats, channels)
+    return kernels.composite(*views.unrolled(splats, channels))
 
 
 def over(

@@ -4,9 +4,10 @@ Projection computes them from a scene and a camera, and a rasterizer draws them.
 cotangent, the gradient of the loss with respect to the splats.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from splatax.shapes import check_arrays, check_size
@@ -29,7 +30,8 @@ class Splats:
     Attributes:
         means2d: centres, x right, y down, pixels.
         sqrt_conics: triangular square root of the inverse covariance, 1 / pixels.
-        depths: camera z, world units; nearest is drawn first, ties in their order here.
+        depths: depth by the lens (camera z, unless it maps angles), world units; nearest is drawn first, ties
+            in their order here.
         extents: half width and height, pixels, of the box outside which alpha is 0. Zero means
             culled: not drawn, with a zero gradient.
         colors: display-referred RGB, at least 0.
@@ -38,6 +40,8 @@ class Splats:
         pull: None, or zeros to request a gradient that means2d does not have: the sums over pixels of |dL/dx|
             and |dL/dy|, in which contributions of opposite sign do not cancel. The value does not affect the
             image.
+        period: pixels after which the image repeats sideways, as a panorama does; None if it does not. What
+            reaches over one side is drawn at the other too.
     """
 
     means2d: Float[Array, "n 2"]
@@ -49,6 +53,7 @@ class Splats:
     width: int = field(metadata={"static": True})
     height: int = field(metadata={"static": True})
     pull: Float[Array, "n 2"] | None = None
+    period: Float[Array, ""] | None = None
 
 
 def checked(splats: Splats, channels: Float[Array, "n c"] | None = None) -> Splats:
@@ -69,8 +74,31 @@ def checked(splats: Splats, channels: Float[Array, "n c"] | None = None) -> Spla
     }
     if splats.pull is not None:
         arrays["pull"] = (splats.pull, "n 2")
+    if splats.period is not None:
+        arrays["period"] = (splats.period, "")
     if channels is not None:
         arrays["channels"] = (channels, "n c")
     check_arrays("Splats", arrays)
     check_size("Splats", splats.width, splats.height)
     return splats
+
+
+def unrolled(splats: Splats, channels: Float[Array, "n c"]) -> tuple[Splats, Float[Array, "m c"]]:
+    """Returns splats without a period, and their channels: each has a copy on the other side of the seam.
+
+    The copies follow the n splats, in the same order. Without a period, nothing changes.
+    """
+    if splats.period is None:
+        return splats, channels
+    means2d, extents = splats.means2d, splats.extents
+    right = means2d[:, 0] > splats.width / 2
+    moved = means2d[:, 0] + jnp.where(right, -1, 1) * splats.period
+    reaches = (moved + extents[:, 0] > 0) & (moved - extents[:, 0] < splats.width)
+    copies = replace(
+        splats,
+        means2d=jnp.stack([moved, means2d[:, 1]], axis=1),
+        extents=jnp.where(reaches[:, None], extents, 0),
+        period=None,
+    )
+    both = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), replace(splats, period=None), copies)
+    return both, jnp.concatenate([channels, channels])

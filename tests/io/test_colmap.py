@@ -13,6 +13,7 @@ from PIL import Image
 
 import splatax as sx
 from captures import POINTS, SIZE, model_of, pinhole, radial, write_capture
+from splatax.cameras.lenses import Pinhole
 from splatax.errors import DatasetError, InputError
 from splatax.splits import Last, Listed, Nothing
 
@@ -189,6 +190,10 @@ def test_no_lens_that_bends_lines_passes_for_a_pinhole(model, params, tmp_path):
     photo[:10] = 255  # a straight edge, well away from the centre
     Image.fromarray(photo).save(capture / "images" / "photo01.png")
     _, view = sx.load_dataset(capture).train
+    assert not isinstance(view.camera.lens, Pinhole)  # the photo as it is, with its lens
+    assert np.ptp(view.pixels()[..., 0].sum(axis=0, dtype=np.float64)) == 0
+    _, view = sx.load_dataset(capture, undistort=True).train
+    assert isinstance(view.camera.lens, Pinhole)
     heights = view.pixels()[..., 0].sum(axis=0, dtype=np.float64) / 255  # of white, pixels
     assert np.ptp(heights) > 0.5
 

@@ -4,6 +4,7 @@ import json
 from functools import partial
 
 import foreign
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from foreign import DEPTH, EYES, FILES, NAMED, NAMES, POINTS, world_from_cam
@@ -31,8 +32,8 @@ FORMATS = {
 
 def seen(camera, point):
     """Pixel of a point, and its depth."""
-    x, y, z = np.asarray(camera.rotation) @ point + np.asarray(camera.translation)
-    return np.array([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy]), z
+    local = camera.to_camera(jnp.asarray(point, jnp.float32))
+    return np.asarray(camera.to_pixel(local), float), float(local[2])
 
 
 def centroid(picture, u, v, reach=5):
@@ -43,10 +44,11 @@ def centroid(picture, u, v, reach=5):
     return np.array([(light * x).sum(), (light * y).sum()]) / light.sum()
 
 
+@pytest.mark.parametrize("undistort", [False, True], ids=["as they are", "undistorted"])
 @pytest.mark.parametrize("name", FORMATS)
-def test_known_points_are_at_the_right_pixels(name, tmp_path):
+def test_known_points_are_at_the_right_pixels(name, undistort, tmp_path):
     FORMATS[name](tmp_path)
-    dataset = sx.load_dataset(tmp_path)
+    dataset = sx.load_dataset(tmp_path, undistort=undistort)
     assert len(dataset.views) == len(EYES)
     for i, view in enumerate(dataset.views):
         assert_allclose(np.asarray(view.camera.position), EYES[i], atol=1e-5)

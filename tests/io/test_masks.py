@@ -76,7 +76,7 @@ def test_masks_lose_the_distortion_that_their_photos_lose(tmp_path):
     capture = write_capture(tmp_path / "capture", count=2, camera=lens)
     write_mask(capture, "photo01.png", left=12)
     shutil.copy(capture / "masks" / "photo01.png", capture / "images" / "photo01.png")
-    view = view_of(capture)
+    _, view = sx.load_dataset(capture, undistort=True).train
     mask = view.mask()
     assert mask.shape == (view.camera.height, view.camera.width)
     assert_array_equal(mask, view.pixels()[..., 0] > 127)

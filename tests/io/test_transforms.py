@@ -12,6 +12,7 @@ from PIL import Image
 
 import splatax as sx
 from captures import POINTS, POSES, SIZE, frame, write_blender, write_capture, write_photos, write_transforms
+from splatax.cameras.lenses import Equirectangular, Fisheye, Orthographic
 from splatax.errors import DatasetError
 
 APPLIED = [[1, 0, 0, 0.5], [0, 0, 1, 0.25], [0, -1, 0, -1]]  # a turn, as nerfstudio's, and a shift
@@ -105,13 +106,26 @@ def test_distorted_photos_become_a_pinholes(tmp_path):
     assert_allclose(centre, view.camera.to_pixel(point), atol=0.1)  # half a pixel off is a wrong convention
 
 
-def test_fisheye_by_either_name_is_undistorted(tmp_path):
+def test_fisheye_has_either_name(tmp_path):
     named = write_transforms(tmp_path / "named", camera_model="OPENCV_FISHEYE", k1=0.02)
     flagged = write_transforms(tmp_path / "flagged", is_fisheye=True, k1=0.02)
     a, b = sx.load_dataset(named), sx.load_dataset(flagged)
     assert "OPENCV_FISHEYE" in a.survey.lenses["photo00.png"]
     same_cameras(a, b)
     assert a.train[0].pixels().shape[:2] == (a.train[0].camera.height, a.train[0].camera.width)
+    assert isinstance(a.train[0].camera.lens, Fisheye)
+
+
+def test_panoramas_and_orthophotos_have_their_lenses(tmp_path):
+    whole = sx.load_dataset(write_transforms(tmp_path / "whole", camera_model="EQUIRECTANGULAR"))
+    camera = whole.train[0].camera
+    assert isinstance(camera.lens, Equirectangular)
+    assert_allclose([camera.fx * 2 * np.pi, camera.fy * np.pi], [64, 48], rtol=1e-6)
+    flat = sx.load_dataset(write_transforms(tmp_path / "flat", camera_model="ORTHOPHOTO")).train[0].camera
+    assert isinstance(flat.lens, Orthographic)
+    assert_allclose(
+        flat.to_pixel(jnp.array([0.1, 0.2, 7.0])), [36, 37.2], rtol=1e-6
+    )  # 60 and 61 pixels a unit
 
 
 def test_frames_without_a_photo_are_left_out_and_said(capture):
@@ -226,7 +240,7 @@ def test_a_path_that_leaves_the_capture(capture, key, name):
         ({"w": 100}, "other proportions"),
         ({"k1": [1]}, "k1 should be a finite number"),
         ({"k4": 0.1}, "k4 should be zero"),
-        ({"camera_model": "EQUIRECTANGULAR"}, "camera_model should be one of"),
+        ({"camera_model": "VR180"}, "camera_model should be one of"),
         ({"applied_transform": [[1, 2, 3]]}, "applied_transform should be a 4 x 4 matrix"),
         ({"ply_file_path": "points.ply"}, "points.ply: no such file, but transforms.json names it"),
         ({"ply_file_path": "../points.ply"}, "leads out of the capture"),

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 import splatax as sx
 from scenes import random_gaussians
 from splatax.math import rigid
-from splatax.training.camera_refinement import Poses, PosesAndFocal, rate_for, refined
+from splatax.training.camera_refinement import Focal, Poses, Together, rate_for, refined
 from splatax.training.density import NoDensityControl
 from splatax.training.feed import batches, sources
 from splatax.training.loop import first_state, optimize
@@ -81,7 +81,7 @@ def test_a_wrong_focal_length_comes_back():
     wrong = tuple(
         replace(v, camera=replace(v.camera, fx=v.camera.fx * 1.03, fy=v.camera.fy * 1.03)) for v in views
     )
-    recipe = replace(KNOWN, camera_refinement=PosesAndFocal(Poses(reach=1e-6), reach=0.1))
+    recipe = replace(KNOWN, camera_refinement=Together((Focal(reach=0.1), Poses(reach=1e-6))))
     _, found = learn(wrong, recipe, TRUTH)
     ratios = [float(a.camera.fx / b.camera.fx) for a, b in zip(found, views, strict=True)]
     assert_allclose(ratios, ratios[0], rtol=1e-6)  # one lens

@@ -7,6 +7,7 @@ from typing import Protocol, runtime_checkable
 from jaxtyping import Array, Float
 
 from splatax.cameras import Camera
+from splatax.footprints import EWA, Method
 from splatax.gaussians import Gaussians
 from splatax.low_pass import LowPass
 from splatax.splats import Splats
@@ -16,7 +17,9 @@ from splatax.splats import Splats
 class Project(Protocol):
     """The left half of the pipeline, from Gaussians to the 2D Gaussians of one view."""
 
-    def __call__(self, gaussians: Gaussians, camera: Camera, low_pass: LowPass) -> Splats:
+    def __call__(
+        self, gaussians: Gaussians, camera: Camera, low_pass: LowPass, method: Method = EWA
+    ) -> Splats:
         """Projects as `splatax.projection.project` does, with the same rules for what is culled."""
         ...
 

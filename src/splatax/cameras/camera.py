@@ -1,28 +1,36 @@
-"""Pinhole cameras, in the conventions of COLMAP and OpenCV."""
+"""Cameras, in the conventions of COLMAP and OpenCV."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from splatax.cameras.lenses import Lens, Pinhole
+from splatax.cameras.motion import RollingShutter
+from splatax.math import rigid
 from splatax.shapes import check_arrays, check_size
+
+SEARCHES = 6  # for the row that sees a point; the camera moves little during the exposure
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Camera:
-    """Pinhole camera: pose, intrinsics and image size.
+    """Camera: pose, intrinsics, lens, motion during the exposure, and image size.
 
     Camera axes are x right, y down, z forward. Pixel coordinates have the image's top left corner
-    at (0, 0), so the first pixel's centre is (0.5, 0.5). All fields except the size are traced: views of one
-    size share one compiled program, and every traced number can have a gradient.
+    at (0, 0), so the first pixel's centre is (0.5, 0.5). The lens maps a point in camera axes to the image
+    plane at focal length one; pixel = (fx, fy) * place + (cx, cy). All fields except the size are traced:
+    views of one size and kind of lens share one compiled program, and every number can have a gradient.
 
     Attributes:
         fx, fy: focal lengths, pixels.
         cx, cy: principal point, pixels.
         cam_from_world: rigid transform, p_cam = R p_world + t, as a 4 x 4 matrix.
         width, height: image size, pixels (static).
+        lens: kind of lens and its coefficients; see `cameras.lenses`.
+        motion: None if the whole image is exposed at once.
     """
 
     fx: Float[Array, ""]
@@ -32,6 +40,8 @@ class Camera:
     cam_from_world: Float[Array, "4 4"]
     width: int = field(metadata={"static": True})
     height: int = field(metadata={"static": True})
+    lens: Lens = Pinhole()
+    motion: RollingShutter | None = None
 
     @classmethod
     def simple_pinhole(
@@ -57,14 +67,61 @@ class Camera:
         """Optical centre in the world, -R^T t."""
         return -self.rotation.T @ self.translation
 
+    @property
+    def focal(self) -> Float[Array, "2"]:
+        """Focal lengths (fx, fy), pixels."""
+        return jnp.stack([self.fx, self.fy])
+
+    @property
+    def center(self) -> Float[Array, "2"]:
+        """Principal point (cx, cy), pixels."""
+        return jnp.stack([self.cx, self.cy])
+
     def to_camera(self, point: Float[Array, "3"]) -> Float[Array, "3"]:
-        """Returns a world point in camera axes."""
-        return self.rotation @ point + self.translation
+        """Returns a world point in camera axes, at the moment when its row of the image is exposed.
+
+        A camera that moves must see the point in the middle of the exposure.
+        """
+        if self.motion is None:
+            return self.rotation @ point + self.translation
+        return self.at(self._time_of(point)).to_camera(point)
 
     def to_pixel(self, point: Float[Array, "3"]) -> Float[Array, "2"]:
-        """Returns the pixel coordinates of a point in camera axes, which must be in front of the camera."""
-        x, y, z = point
-        return jnp.array([self.fx * x / z + self.cx, self.fy * y / z + self.cy])
+        """Returns the pixel coordinates of a point in camera axes, which the lens must see."""
+        return self.focal * self.lens.project(point) + self.center
+
+    def to_point(self, pixel: Float[Array, "2"], depth: Float[Array, ""]) -> Float[Array, "3"]:
+        """Returns the point in camera axes, of the lens's depth, that is seen at a pixel.
+
+        It is the inverse of `to_pixel`.
+        """
+        return self.lens.unproject((pixel - self.center) / self.focal, depth)
+
+    def at(self, time: Float[Array, ""]) -> "Camera":
+        """Returns the camera as it stands at a time of the exposure, from -1/2 to 1/2, without motion."""
+        if self.motion is None:
+            return self
+        pose = rigid.exponential(self.motion.twist * time) @ self.cam_from_world
+        return replace(self, cam_from_world=pose, motion=None)
+
+    def _time_of(self, point: Float[Array, "3"]) -> Float[Array, ""]:
+        """Returns when the row on which a world point is seen is exposed.
+
+        It solves t = time(pixel(t)), whose right side hardly depends on t. The search has no derivative; two
+        steps from its result, divided by the slope there, give the first two derivatives exactly.
+        """
+
+        def seen(camera, point, time):
+            pixel = camera.to_pixel(camera.at(time).to_camera(point))
+            return camera.motion.time(pixel, camera.width, camera.height)
+
+        fixed = jax.lax.stop_gradient((self, point))
+        zero = jnp.zeros((), point.dtype)
+        time, _ = jax.lax.scan(lambda time, _: (seen(*fixed, time), None), zero, length=SEARCHES)
+        _, slope = jax.jvp(lambda time: seen(*fixed, time), (time,), (jnp.ones_like(time),))
+        for _ in range(2):
+            time = time + (seen(self, point, time) - time) / (1 - slope)
+        return time
 
     def resized(self, width: int, height: int) -> "Camera":
         """Returns the camera with the same view and another image size."""
@@ -101,7 +158,24 @@ def checked(camera: Camera) -> Camera:
         ValueError: if a shape or dtype is wrong, or the image has no size. Stacked cameras are refused too:
             use `jax.vmap`.
     """
-    numbers = {name: (getattr(camera, name), "") for name in ("fx", "fy", "cx", "cy")}
-    check_arrays("Camera", {**numbers, "cam_from_world": (camera.cam_from_world, "4 4")})
+    arrays = {name: (getattr(camera, name), "") for name in ("fx", "fy", "cx", "cy")}
+    arrays["cam_from_world"] = (camera.cam_from_world, "4 4")
+    if not isinstance(camera.lens, Lens):
+        raise ValueError(
+            f"Camera: its lens is {type(camera.lens).__name__}, which is not a lens. Choose one of "
+            "splatax.cameras.lenses."
+        )
+    for part in ("lens", "motion"):
+        arrays |= _arrays_of(part, getattr(camera, part))
+    check_arrays("Camera", arrays)
     check_size("Camera", camera.width, camera.height)
     return camera
+
+
+def _arrays_of(owner: str, record: Lens | RollingShutter | None) -> dict[str, tuple[Array, str]]:
+    """Returns the arrays of a record with the shapes that its fields declare, by name."""
+    return {
+        f"{owner}.{field.name}": (getattr(record, field.name), getattr(field.type, "dim_str", ""))
+        for field in (fields(record) if is_dataclass(record) else ())
+        if "static" not in field.metadata
+    }

@@ -142,14 +142,18 @@ def scene_of(model: Model) -> Path | None:
 
 
 def load_scene(
-    scene: Path, downscale: Downscale | None, model: Model | None = None, hold_out: str | None = None
+    scene: Path,
+    downscale: Downscale | None,
+    model: Model | None = None,
+    hold_out: str | None = None,
+    undistort: bool | None = None,
 ) -> sx.Dataset:
-    """Loads a capture, by default with the size and the held-out photos that a model was trained with.
+    """Loads a capture, by default with the size, held-out photos and lenses that a model was trained with.
 
     Raises:
         InputError: if an option makes no sense for the capture.
     """
-    options = model.options if model else {}
+    options = model.options if model else {}  # of runs before there was a choice, undistort is missing
     chosen = downscale
     if chosen is None:
         chosen = options.get("downscale", "auto")
@@ -160,6 +164,7 @@ def load_scene(
         scene,
         downscale=None if chosen == "auto" else int(chosen),
         hold_out=None if rule is None else parsed("hold_out", rule, parse_hold_out),
+        undistort=options.get("undistort", bool(options)) if undistort is None else undistort,
     )
     unsaid = rule is None and bool(options) and "hold_out" not in options
     return resplit(dataset, OTHER_RULE) if unsaid and dataset.split == str(Every()) else dataset

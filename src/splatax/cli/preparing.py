@@ -33,7 +33,12 @@ def loaded(settings: Settings, downscale: int | None = None) -> sx.Dataset:
         InputError: if the settings name a photo that is not there.
     """
     assert settings.scene
-    dataset = load_scene(settings.scene, downscale or settings.downscale, hold_out=settings.hold_out)
+    dataset = load_scene(
+        settings.scene,
+        downscale or settings.downscale,
+        hold_out=settings.hold_out,
+        undistort=settings.undistort,
+    )
     if settings.leave_out not in ("auto", "none"):
         names = [view.name for view in dataset.views]
         spared = set(Listed(listed_in(settings.leave_out)).of(names)) & {view.name for view in dataset.train}

@@ -55,6 +55,7 @@ class Settings:
     downscale: Downscale = "auto"
     hold_out: str | None = None
     leave_out: str = "auto"
+    undistort: bool = False
     points: Path | None = None
     judged_by: Path | None = None
     recipe: RecipeName = "default"

@@ -46,6 +46,9 @@ class Photos:
     leave_out: Annotated[str | None, shown_as("{auto,none,LIST}")] = None
     """Photos not to train on. "auto", the default: those that are blurred compared with the rest, and those
     that repeat another; LIST: names with commas, or a .txt file."""
+    undistort: Annotated[bool, shown_as()] = False
+    """Resample the photos for pinhole cameras before training. Without it, photos are used as they are, and
+    the scene is trained through their lenses. Photos of a lens that splatax lacks are always resampled."""
     points: Annotated[Path | None, shown_as("FILE.ply")] = None
     """Start from the colored points of this file instead of those of the capture."""
     judged_by: Annotated[Path | None, shown_as("RUN")] = None
@@ -99,8 +102,9 @@ class Method:
     for exposure and white balance. By default "auto": only if exposure differs much. Held-out photos are
     compared as they are, and once more after a color correction."""
     refine: Annotated[RefinementName | None, shown_as()] = None
-    """Optimize the training cameras' poses, or poses and focal lengths. Use it only if the given cameras are
-    inaccurate; accurate ones get worse. Writes the cameras to refined/sparse/0. By default none. Cameras of
+    """Optimize the training cameras: their poses, focal lengths, lenses (focal lengths and distortion), or
+    motion during the exposure (a rolling shutter). Use it only for what is inaccurate; accurate poses get
+    worse. Writes the cameras to refined/sparse/0. By default none. Cameras of
     held-out photos stay as given."""
     backend: Annotated[BackendName | None, shown_as()] = None
     """Rasterizer. If the named one is unavailable, the command fails instead of falling back. By default

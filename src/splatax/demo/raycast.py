@@ -40,8 +40,7 @@ def look(camera: Camera, pixels: Float[Array, "n 2"]) -> Seen:
     """Casts one ray through each of the pixel coordinates."""
 
     def one(pixel: Float[Array, "2"]) -> Seen:
-        slope = (pixel - jnp.stack([camera.cx, camera.cy])) / jnp.stack([camera.fx, camera.fy])
-        direction = camera.rotation.T @ jnp.append(slope, 1)
+        direction = camera.rotation.T @ camera.to_point(pixel, jnp.ones((), pixel.dtype))
         return trace(camera.position, direction / jnp.linalg.norm(direction))
 
     return jax.vmap(one)(pixels)

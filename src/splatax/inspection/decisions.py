@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from splatax.cameras import Camera
+from splatax.cameras.geometry import seen_at
 from splatax.dataset import Dataset, Pixels, View
 from splatax.errors import InputError
 from splatax.inspection.looks import (
@@ -132,10 +133,8 @@ def shades_at(
 ) -> Float[np.ndarray, " n"]:
     """Returns log2 of a photo's luminance at points; NaN where it does not see them, or is black or white."""
     height, width = luminance.shape
-    local = points @ np.asarray(camera.rotation, np.float64).T + np.asarray(camera.translation, np.float64)
-    depth = np.where(local[:, 2] > 0, local[:, 2], np.nan)
-    x = (local[:, 0] / depth * float(camera.fx) + float(camera.cx)) * width / camera.width
-    y = (local[:, 1] / depth * float(camera.fy) + float(camera.cy)) * height / camera.height
+    pixels, depth = seen_at(camera, points)
+    x, y = (pixels * [width / camera.width, height / camera.height]).T
     inside = np.flatnonzero((x >= 0) & (x < width) & (y >= 0) & (y < height))  # false for NaN
     row, column, depth = y[inside].astype(int), x[inside].astype(int), depth[inside]
     cell = (row * CELLS // width) * CELLS + column * CELLS // width

@@ -5,6 +5,7 @@ semi-definite whatever the rounding of F, and its determinant is a sum of square
 """
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from splatax.math import quaternions
@@ -15,13 +16,20 @@ def covariance_factor(quat: Float[Array, "4"], scale: Float[Array, "3"]) -> Floa
     return quaternions.to_rotation(quat) * scale[None, :]
 
 
-def determinant_of_rows(factor: Float[Array, "2 3"], variance: Float[Array, ""]) -> Float[Array, ""]:
-    """Returns det(F F^T + v I) = |f x g|^2 + v (|f|^2 + |g|^2) + v^2, where f and g are the rows of F.
+def determinant_of_rows(
+    rows: Float[Array, "2 m"], weights: Float[Array, " m"], variance: Float[Array, ""]
+) -> Float[Array, ""]:
+    """Returns det(F diag(w) F^T + v I), where f and g are the rows of F, by the formula of Cauchy and Binet.
 
-    This sum of squares does not cancel for long thin ellipses, as a c - b^2 does.
+        sum_{i<j} w_i w_j (f_i g_j - f_j g_i)^2 + v sum_i w_i (f_i^2 + g_i^2) + v^2
+
+    With positive weights, this sum of squares does not cancel for long thin ellipses, as a c - b^2 does.
     """
-    normal = jnp.cross(factor[0], factor[1])
-    return normal @ normal + variance * jnp.sum(factor * factor) + variance * variance
+    first, second = np.triu_indices(rows.shape[1], 1)
+    f, g = rows
+    minors = f[first] * g[second] - f[second] * g[first]
+    area = jnp.sum(weights[first] * weights[second] * minors * minors)
+    return area + variance * jnp.sum(weights[None] * rows * rows) + variance * variance
 
 
 def sqrt_conic(covariance: Float[Array, "3"], determinant: Float[Array, ""]) -> Float[Array, "3"]:

@@ -8,6 +8,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from splatax.dataset import Dataset, Mask, View, mask_of
 from splatax.errors import InputError
@@ -150,10 +151,16 @@ class Results:
         return Comparison(score(view.name, image, photo, mask), photo, image, mask)
 
     def _write_cameras(self) -> None:
-        """Writes the cameras as a COLMAP model, those of held-out photos as they were given."""
+        """Writes the cameras as a COLMAP model, those of held-out photos as they were given.
+
+        Motions during the exposure, which COLMAP's cameras do not have, go to a file beside it.
+        """
         state = self.last.train
         found = refined(self.recipe.camera_refinement, state.cameras, self.dataset.train, state.extent)
         colmap_writing.save(self.out / "refined", (*found, *self.dataset.test), self.dataset.points)
+        motions = {view.name: view.camera.motion for view in found}
+        if twists := {name: np.asarray(motion.twist).tolist() for name, motion in motions.items() if motion}:
+            write_json(self.out / "refined" / "motions.json", twists)
 
 
 Present = Callable[[Results, Sequence[Comparison]], Mapping[str, bytes]]  # contents of files by name

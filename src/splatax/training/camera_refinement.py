@@ -2,13 +2,15 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
-from splatax.cameras import Camera
+from splatax.cameras import Camera, RollingShutter
+from splatax.cameras.lenses import OpenCV, Pinhole, opencv
 from splatax.dataset import View
 from splatax.math import rigid
 from splatax.training import per_photo
@@ -70,61 +72,148 @@ class Poses:
         return replace(state, values=per_photo.centred(state.values))
 
 
-class PosesAndLenses(NamedTuple):
-    """Parameters of poses and lenses: the tables of a run, or the values for one photo."""
+class PerLens:
+    """Learns numbers of each lens. Two photos have the same lens if all but their poses is equal."""
 
-    poses: Any
-    focals: Any
+    WIDTH: ClassVar[int]  # how many numbers a lens has
+    reach: float  # length of all steps of each number in a run together
 
+    def init(self, photos: int) -> PerPhoto:
+        """Returns lenses as given: all numbers are zero. There are at most as many lenses as photos."""
+        return per_photo.zeros(photos, self.WIDTH)
 
-@dataclass(frozen=True)
-class PosesAndFocal:
-    """Learns poses, and a factor on the focal lengths of each lens.
-
-    Two photos have the same lens if the intrinsics and sizes of their cameras are equal.
-    """
-
-    poses: Poses = Poses()
-    reach: float = 0.02  # length of all steps of the factor's logarithm in a run together
-
-    def init(self, photos: int) -> PosesAndLenses:
-        """Returns cameras as given; a row for a lens holds the logarithm of its factor.
-
-        There are at most as many lenses as photos.
-        """
-        return PosesAndLenses(self.poses.init(photos), per_photo.zeros(photos, 1))
-
-    def for_photo(self, state: PosesAndLenses, source: Source) -> PosesAndLenses:
-        """Returns the twist and the logarithm of the factor for one photo's camera."""
-        return PosesAndLenses(self.poses.for_photo(state.poses, source), state.focals.values[source.lens])
-
-    def __call__(self, parameters: PosesAndLenses, camera: Camera, extent: Float[Array, ""]) -> Camera:
-        """Applies a factor on the focal lengths and a twist to a camera."""
-        factor = jnp.exp(parameters.focals[0])
-        zoomed = replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
-        return self.poses(parameters.poses, zoomed, extent)
+    def for_photo(self, state: PerPhoto, source: Source) -> Float[Array, " width"]:
+        """Returns the numbers of the lens of one photo."""
+        return state.values[source.lens]
 
     def update(
         self,
-        state: PosesAndLenses,
+        state: PerPhoto,
         source: Source,
-        gradient: PosesAndLenses,
+        gradient: Float[Array, " width"],
         progress: Float[Array, ""],
         steps: Float[Array, ""],
-    ) -> PosesAndLenses:
-        """Makes one step for one camera and its lens."""
-        lenses = jnp.maximum(jnp.sum(state.focals.visits > 0), 1)  # all of them after the first epoch
-        rate = rate_for(self.reach, steps / lenses, progress)
-        return PosesAndLenses(
-            self.poses.update(state.poses, source, gradient.poses, progress, steps),
-            per_photo.updated(state.focals, source.lens, gradient.focals, rate),
+    ) -> PerPhoto:
+        """Makes one step for one lens."""
+        lenses = jnp.maximum(jnp.sum(state.visits > 0), 1)  # all of them after the first epoch
+        return per_photo.updated(state, source.lens, gradient, rate_for(self.reach, steps / lenses, progress))
+
+
+@dataclass(frozen=True)
+class Focal(PerLens):
+    """Learns the logarithm of a factor on both focal lengths of each lens."""
+
+    WIDTH: ClassVar[int] = 1
+    reach: float = 0.02
+
+    def __call__(self, parameters: Float[Array, "1"], camera: Camera, extent: Float[Array, ""]) -> Camera:
+        """Multiplies the focal lengths of a camera."""
+        factor = jnp.exp(parameters[0])
+        return replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
+
+
+@dataclass(frozen=True)
+class Distortion(PerLens):
+    """Learns the coefficients of each lens; a pinhole becomes a lens of OpenCV's model.
+
+    Of OpenCV's coefficients k1, k2, p1 and p2 are learned, and those others that are not zero; all of other
+    lenses. High powers that start at zero would fit the noise at the corners.
+    """
+
+    WIDTH: ClassVar[int] = 12  # the most that a lens has
+    reach: float = 0.2
+
+    def __call__(self, parameters: Float[Array, "12"], camera: Camera, extent: Float[Array, ""]) -> Camera:
+        """Adds to the coefficients of a camera's lens."""
+        lens = opencv(dtype=camera.fx.dtype) if isinstance(camera.lens, Pinhole) else camera.lens
+        given, rebuild = ravel_pytree(lens)
+        free = jnp.ones_like(given)
+        if isinstance(lens, OpenCV):
+            first = OpenCV(jnp.array([1.0, 1, 0, 0, 0, 0]), jnp.ones(2), jnp.zeros(4))
+            free = jnp.maximum(ravel_pytree(first)[0], jnp.where(given == 0, 0.0, 1.0))
+        return replace(camera, lens=rebuild(given + free * parameters[: given.size]))
+
+
+@dataclass(frozen=True)
+class Shutter:
+    """Learns the motion of each training camera during its exposure: a rolling shutter that goes downwards.
+
+    The six numbers are those of `RollingShutter.twist`, with the translation in extents of the scene.
+    """
+
+    reach: float = 0.02  # length of all steps of a camera in a run together: radians, extents of the scene
+
+    def init(self, photos: int) -> PerPhoto:
+        """Returns cameras that do not move."""
+        return per_photo.zeros(photos, 6)
+
+    def for_photo(self, state: PerPhoto, source: Source) -> Float[Array, "6"]:
+        """Returns the motion of one photo's camera."""
+        return state.values[source.view]
+
+    def __call__(self, parameters: Float[Array, "6"], camera: Camera, extent: Float[Array, ""]) -> Camera:
+        """Adds the motion to a camera, and to the motion that it was given with."""
+        motion = camera.motion or RollingShutter(jnp.zeros_like(parameters))
+        twist = jnp.concatenate([parameters[:3], parameters[3:] * extent])
+        return replace(camera, motion=replace(motion, twist=motion.twist + twist))
+
+    def update(
+        self,
+        state: PerPhoto,
+        source: Source,
+        gradient: Float[Array, "6"],
+        progress: Float[Array, ""],
+        steps: Float[Array, ""],
+    ) -> PerPhoto:
+        """Makes one step for one camera."""
+        rate = rate_for(self.reach, steps / len(state.visits), progress)
+        return per_photo.updated(state, source.view, gradient, rate)
+
+
+@dataclass(frozen=True)
+class Together:
+    """Learns several corrections, which are applied one after the other."""
+
+    parts: tuple[CameraRefinement, ...]
+
+    def init(self, photos: int) -> tuple[Any, ...]:
+        """Returns the states of the parts."""
+        return tuple(part.init(photos) for part in self.parts)
+
+    def for_photo(self, state: tuple[Any, ...], source: Source) -> tuple[Any, ...]:
+        """Returns the parameters of one photo's camera, for each part."""
+        return tuple(part.for_photo(own, source) for part, own in zip(self.parts, state, strict=True))
+
+    def __call__(self, parameters: tuple[Any, ...], camera: Camera, extent: Float[Array, ""]) -> Camera:
+        """Applies all corrections to a camera."""
+        for part, own in zip(self.parts, parameters, strict=True):
+            camera = part(own, camera, extent)
+        return camera
+
+    def update(
+        self,
+        state: tuple[Any, ...],
+        source: Source,
+        gradient: tuple[Any, ...],
+        progress: Float[Array, ""],
+        steps: Float[Array, ""],
+    ) -> tuple[Any, ...]:
+        """Makes one step of every part."""
+        return tuple(
+            part.update(own, source, slope, progress, steps)
+            for part, own, slope in zip(self.parts, state, gradient, strict=True)
         )
 
 
 CAMERA_REFINEMENTS: dict[str, CameraRefinement] = {
     "none": FixedCameras(),
     "poses": Poses(),
-    "poses+focal": PosesAndFocal(),
+    "focal": Focal(),
+    "poses+focal": Together((Focal(), Poses())),
+    "lens": Together((Distortion(), Focal())),
+    "poses+lens": Together((Distortion(), Focal(), Poses())),
+    "shutter": Shutter(),
+    "poses+shutter": Together((Shutter(), Poses())),
 }
 
 

@@ -1,7 +1,7 @@
 """Batches of training: the training views in random order, read ahead and sent to the device."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import count, islice
@@ -81,14 +81,14 @@ def batch(camera: Camera, photo: Pixels, mask: Mask | None, source: Source, divi
 
 
 def sources(views: Sequence[View]) -> list[Source]:
-    """Returns the source of each view. Two photos have the same lens if intrinsics and size are equal."""
-    lenses: dict[tuple[float, ...], int] = {}
+    """Returns the source of each view. Two photos have the same lens if all but their poses is equal."""
+    lenses: dict[Hashable, int] = {}
     found = []
     for index, view in enumerate(views):
         camera = view.camera
-        numbers = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
-        lens = lenses.setdefault(tuple(float(number) for number in numbers), len(lenses))
-        found.append(Source(np.int32(index), np.int32(lens)))
+        numbers, kind = jax.tree.flatten((camera.focal, camera.center, camera.lens))
+        key = (kind, camera.width, camera.height, *(np.asarray(number).tobytes() for number in numbers))
+        found.append(Source(np.int32(index), np.int32(lenses.setdefault(key, len(lenses)))))
     return found
 
 

@@ -8,12 +8,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from splatax.cameras import Camera, rig
+from splatax.cameras.geometry import points_at, seen_at
+from splatax.cameras.lenses.protocol import NEAR
 from splatax.dataset import Dataset
 from splatax.errors import DatasetError
 from splatax.gaussians import Gaussians
 from splatax.math import harmonics
 from splatax.math.neighbours import mean_squared_distances
-from splatax.projection import NEAR
 
 SMALLEST = 0.01  # size of Gaussians on coincident points, as a fraction of the median neighbour distance
 
@@ -108,8 +109,7 @@ def require_visible(gaussians: Gaussians, dataset: Dataset) -> None:
     """
     means = np.asarray(gaussians.means)
     for view in dataset.train:
-        depths = means @ np.asarray(view.camera.rotation)[2] + np.asarray(view.camera.translation)[2]
-        if (depths > NEAR).any():
+        if np.isfinite(seen_at(view.camera, means)[1]).any():
             return
     raise DatasetError(
         f"No camera sees any of the {len(means):,} points to start from: all are behind the cameras, or "
@@ -134,13 +134,7 @@ def unproject(
 ) -> Float[np.ndarray, "n 3"]:
     """Returns world points at fractions of the image and at camera depths."""
     pixels = fractions * [camera.width, camera.height]
-    slopes = (pixels - [float(camera.cx), float(camera.cy)]) / [float(camera.fx), float(camera.fy)]
-    local = np.concatenate([slopes, np.ones((len(slopes), 1))], axis=1) * depths[:, None]
-    rotation, translation = (
-        np.asarray(camera.rotation, np.float64),
-        np.asarray(camera.translation, np.float64),
-    )
-    return ((local - translation) @ rotation).astype(np.float32)
+    return points_at(camera, pixels, depths).astype(np.float32)
 
 
 def _round_gaussians(

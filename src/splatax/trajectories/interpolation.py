@@ -11,7 +11,7 @@ from jaxtyping import Float
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
 
-from splatax.cameras import Camera
+from splatax.cameras import Camera, as_pinhole
 
 Size = tuple[int, int]  # width and height, pixels
 
@@ -41,6 +41,7 @@ class Keyframe:
             camera: the camera.
             size: width and height of the frames, pixels.
         """
+        camera = as_pinhole(camera)
         focal = float(camera.fy) * max(size[0] / camera.width, size[1] / camera.height)
         pose = np.asarray(camera.cam_from_world, np.float64)
         rotation = Rotation.from_matrix(pose[:3, :3].T)

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from splatax.cameras import Camera
+from splatax.cameras import Camera, as_pinhole
 from splatax.trajectories import Keyframe
 
 
@@ -55,6 +55,7 @@ class Pose:
 
 def pose_of(camera: Camera, window: tuple[int, int]) -> Pose:
     """Returns the pose from which a window shows all that a camera sees, and more in other proportions."""
+    camera = as_pinhole(camera)
     matrix = np.asarray(camera.cam_from_world, np.float64)
     rotation = Rotation.from_matrix(matrix[:3, :3].T)
     high = camera.height / 2 / float(camera.fy)

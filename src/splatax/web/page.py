@@ -12,13 +12,13 @@ import jinja2
 import numpy as np
 
 from splatax.cameras import Camera
+from splatax.cameras.lenses.protocol import NEAR
 from splatax.errors import FormatError, InputError
 from splatax.gaussians import Gaussians
 from splatax.io import formats
 from splatax.io.files import write_whole
 from splatax.low_pass import Antialiasing, Dilation, LowPass
 from splatax.math import morton
-from splatax.projection import NEAR
 from splatax.web.staging import stage
 
 MAX_SH_DEGREE = 3  # highest degree that the viewer draws

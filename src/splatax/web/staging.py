@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from splatax.cameras import Camera, look_at, rig
+from splatax.cameras import Camera, as_pinhole, look_at, rig
+from splatax.cameras.geometry import seen_at
 from splatax.editing.placing import UP, level
 from splatax.errors import InputError
 from splatax.gaussians import Gaussians
@@ -67,6 +68,7 @@ def stage(gaussians: Gaussians, cameras: Mapping[str, Camera]) -> Stage:
 
 def pose_of(camera: Camera, focus: float) -> dict:
     """Converts a camera to a pose of the viewer, with y up, and `focus` as the distance of its pivot."""
+    camera = as_pinhole(camera)
     rotation = HALF_TURN @ np.asarray(camera.rotation, np.float64).T @ HALF_TURN
     fx, fy, cx, cy = (float(value) for value in (camera.fx, camera.fy, camera.cx, camera.cy))
     width, height = camera.width, camera.height
@@ -116,11 +118,9 @@ def _focal_distances(means: Float[np.ndarray, "n 3"], cameras: Sequence[Camera])
 
 def _median_depth(means: Float[np.ndarray, "n 3"], camera: Camera) -> float:
     """Returns the median depth of the Gaussians inside a camera's image; 1 if there are none."""
-    x, y, z = np.asarray(camera.rotation, np.float64) @ means.T + np.asarray(camera.translation)[:, None]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
-    seen = (z > 0) & (u > 0) & (u < camera.width) & (v > 0) & (v < camera.height)
-    return float(np.median(z[np.asarray(seen)])) if np.any(seen) else 1.0
+    (u, v), depths = (found.T for found in seen_at(camera, means))
+    seen = (u > 0) & (u < camera.width) & (v > 0) & (v < camera.height)
+    return float(np.median(depths[seen])) if np.any(seen) else 1.0
 
 
 def _outside() -> Camera:

@@ -8,8 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from splatax import projection
 from splatax.backends.cpu.library import Build
 from splatax.cameras import Camera
+from splatax.cameras.lenses import Pinhole
+from splatax.footprints import EWA, Method
 from splatax.gaussians import Gaussians
 from splatax.low_pass import Antialiasing, LowPass
 from splatax.splats import Splats
@@ -45,8 +48,15 @@ class Settings:
         }
 
 
-def project(gaussians: Gaussians, camera: Camera, low_pass: LowPass, build: Build) -> Splats:
-    """Projects all Gaussians to one view. Differentiable in the Gaussians and the camera."""
+def project(
+    gaussians: Gaussians, camera: Camera, low_pass: LowPass, method: Method = EWA, *, build: Build
+) -> Splats:
+    """Projects all Gaussians to one view. Differentiable in the Gaussians and the camera.
+
+    The library knows pinholes that do not move, by EWA; the portable projection does all others.
+    """
+    if not (isinstance(camera.lens, Pinhole) and camera.motion is None and method == EWA):
+        return projection.project(gaussians, camera, low_pass, method)
     least_fade = low_pass.floor if isinstance(low_pass, Antialiasing) else None
     settings = Settings(build, camera.width, camera.height, low_pass.variance, least_fade)
     numbers = [

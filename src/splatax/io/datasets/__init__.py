@@ -50,7 +50,11 @@ TEST_LIST = "test.txt"  # of the capture or of its COLMAP model: names of the ph
 
 
 def load_dataset(
-    path: str | Path, *, downscale: int | None = None, hold_out: HoldOut | None = None
+    path: str | Path,
+    *,
+    downscale: int | None = None,
+    hold_out: HoldOut | None = None,
+    undistort: bool = False,
 ) -> Dataset:
     """Loads a capture: its cameras and points, and its photos on demand.
 
@@ -60,6 +64,8 @@ def load_dataset(
             the longer side to at most 1600 pixels.
         hold_out: rule for the photos to hold out. None holds out those that the capture itself lists, in
             test.txt or in the files of its layout, else every 8th, from the 5th.
+        undistort: resamples photos for pinhole cameras. Without it, views have the lenses of their photos,
+            which are used as they are.
 
     Raises:
         DatasetError: if the path is not a capture, or a part of it is missing, damaged or elsewhere.
@@ -73,7 +79,7 @@ def load_dataset(
                 f"{path}: not a capture that splatax knows. It looked for {looked_for}. It found "
                 f"{contents(folder)}."
             )
-        dataset = dataset_of(reader.read(folder, downscale), downscale)
+        dataset = dataset_of(reader.read(folder, downscale), downscale, undistort)
     return split(dataset, folder, hold_out)
 
 

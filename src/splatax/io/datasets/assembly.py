@@ -11,11 +11,12 @@ from splatax.dataset import Dataset, PointCloud, View
 from splatax.errors import DatasetError
 from splatax.io.datasets import depths, masks, photos
 from splatax.io.datasets.capture import Capture, Frame
+from splatax.io.datasets.undistortion import is_pinhole
 
 FAR = 1000  # times the size of the set of cameras: farther from the origin, float32 loses detail
 
 
-def dataset_of(capture: Capture, downscale: int | None) -> Dataset:
+def dataset_of(capture: Capture, downscale: int | None, undistort: bool) -> Dataset:
     """Returns the data set of a capture; see `load_dataset`.
 
     All views are for training unless the capture's own files part them.
@@ -38,11 +39,12 @@ def dataset_of(capture: Capture, downscale: int | None) -> Dataset:
             frame.cam_from_world,
             capture.home,
             frame.mask or beside.get(name),
+            frame.parallel,
         )
         for name, frame in sorted(named.items())
     ]
     factor = photos.shrink_factor(sources, capture.already, downscale)
-    views = [source.view(factor) for source in sources]
+    views = [source.view(factor, undistort) for source in sources]
     train, test = (tuple(views), ()) if capture.held_out is None else parted(capture, views, named)
     points = capture.points
     measured: tuple[str, ...] = ()
@@ -61,6 +63,8 @@ def dataset_of(capture: Capture, downscale: int | None) -> Dataset:
         *moved,
         *photos.limited(sources),
     ]
+    if bent := resampled(sources, undistort):
+        notes.append(bent)
     if count := sum(source.mask is not None for source in sources):
         notes.append(f"masks for {count} of {len(views)} photos{f', from {masks.FOLDER}/' if beside else ''}")
     if errors:
@@ -69,6 +73,18 @@ def dataset_of(capture: Capture, downscale: int | None) -> Dataset:
     survey = photos.survey(sources, unused, errors)
     split = "" if capture.held_out is None else "as the capture's own files define"
     return Dataset(train, test, points, tuple(notes), capture.background, survey, split)
+
+
+def resampled(sources: list[photos.Source], undistort: bool) -> str:
+    """Returns a line about photos that are undistorted, or trained through their lenses; empty if none is."""
+    kinds = {source.camera.model.name for source in sources if not is_pinhole(source.camera)}
+    if not kinds:
+        return ""
+    strange = sum(not source.known for source in sources)
+    count = len(sources) if undistort else strange
+    if not count:
+        return f"photos as they are, through their lenses ({', '.join(sorted(kinds))})"
+    return f"{photos.counted(count)} undistorted ({', '.join(sorted(kinds))})"
 
 
 def parted_by_presence(capture: Capture) -> tuple[list[Frame], list[Frame]]:

@@ -47,6 +47,7 @@ class Frame:
         cam_from_world: pose, with x right, y down, z forward.
         mask: path of the mask, if the file names one.
         depth: depth map, if there is one.
+        parallel: true for an orthophoto, whose focal lengths are pixels for a world unit.
     """
 
     name: str
@@ -55,6 +56,7 @@ class Frame:
     cam_from_world: Float[np.ndarray, "3 4"]
     mask: Path | None = None
     depth: DepthMap | None = None
+    parallel: bool = False
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,13 @@
 """Writes cameras and points as a COLMAP model, which `colmap.load` can read."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from splatax.cameras import Camera
+from splatax.cameras import Camera, to_colmap
 from splatax.dataset import PointCloud, View
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ def save(folder: Path, views: Iterable[View], points: PointCloud) -> None:
 
     Args:
         folder: folder of a capture.
-        views: views whose cameras are written, as pinholes.
+        views: views whose cameras are written.
         points: points to write; their colours are rounded to 8 bits.
     """
     import pycolmap
@@ -38,7 +39,7 @@ def save(folder: Path, views: Iterable[View], points: PointCloud) -> None:
 
 
 def model_of_cameras(cameras: Iterable[tuple[str, Camera]]) -> "pycolmap.Reconstruction":
-    """Returns a COLMAP model of named cameras as pinholes, without points.
+    """Returns a COLMAP model of named cameras, without points.
 
     Images are numbered from 1 in the given order. Cameras with equal intrinsics share one COLMAP camera.
     """
@@ -47,21 +48,22 @@ def model_of_cameras(cameras: Iterable[tuple[str, Camera]]) -> "pycolmap.Reconst
     model = pycolmap.Reconstruction()
     numbers: dict[tuple[float, ...], int] = {}
     for number, (name, camera) in enumerate(cameras, start=1):
-        pinhole = _pinhole(camera)
-        key = (pinhole.width, pinhole.height, *pinhole.params)
+        calibrated = _calibrated(camera)
+        key = (calibrated.model.value, calibrated.width, calibrated.height, *calibrated.params)
         if key not in numbers:
-            pinhole.camera_id = numbers[key] = len(numbers) + 1
-            model.add_camera_with_trivial_rig(pinhole)
+            calibrated.camera_id = numbers[key] = len(numbers) + 1
+            model.add_camera_with_trivial_rig(calibrated)
         image = pycolmap.Image(name=name, camera_id=numbers[key], image_id=number)
         model.add_image_with_trivial_frame(image, _pose(camera))
     return model
 
 
-def _pinhole(camera: Camera) -> "pycolmap.Camera":
+def _calibrated(camera: Camera) -> "pycolmap.Camera":
+    """Returns COLMAP's camera; it cannot hold a motion during the exposure."""
     import pycolmap
 
-    numbers = [float(number) for number in (camera.fx, camera.fy, camera.cx, camera.cy)]
-    return pycolmap.Camera(model="PINHOLE", width=camera.width, height=camera.height, params=numbers)
+    model, numbers = to_colmap(replace(camera, motion=None))
+    return pycolmap.Camera(model=model, width=camera.width, height=camera.height, params=numbers)
 
 
 def _pose(camera: Camera) -> "pycolmap.Rigid3d":

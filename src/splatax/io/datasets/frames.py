@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
+from splatax.cameras.conventions import PANORAMA
 from splatax.errors import DatasetError
 from splatax.io import images
 from splatax.io.datasets import lenses, names
@@ -28,6 +29,7 @@ PERSPECTIVE = {
     "SIMPLE_RADIAL",
 }  # all are special cases of OPENCV
 FISHEYE = "OPENCV_FISHEYE"
+PARALLEL = "ORTHOPHOTO"  # its focal lengths are pixels for a world unit
 DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 MILLIMETRES = 1e-3  # unit of depth maps, unless the file says another
 
@@ -112,6 +114,7 @@ def frame_of(
         cam_from_world,
         path.parent / names.checked(mask, own.where) if mask else None,
         DepthMap(path.parent / names.checked(depth, own.where), unit) if depth else None,
+        parallel=fields.text("camera_model") == PARALLEL,
     )
 
 
@@ -127,6 +130,9 @@ def lens_of(fields: Fields, size: tuple[int, int]) -> "pycolmap.Camera":
         DatasetError: if there is no focal length, or the camera model is unknown.
     """
     width, height = fields.side("w") or float(size[0]), fields.side("h") or float(size[1])
+    model = fields.text("camera_model") or (FISHEYE if fields.find("is_fisheye") else "OPENCV")
+    if model == PANORAMA:
+        return lenses.camera(PANORAMA, (width, height), [width, height])
     fx = fields.positive("fl_x") or focal_of(fields.positive("camera_angle_x"), width)
     vertical = None if fields.find("fl_x") else focal_of(fields.positive("camera_angle_y"), height)
     fy = fields.positive("fl_y") or vertical
@@ -139,11 +145,11 @@ def lens_of(fields: Fields, size: tuple[int, int]) -> "pycolmap.Camera":
     cx, cy = fields.number("cx"), fields.number("cy")
     centre = (width / 2 if cx is None else cx, height / 2 if cy is None else cy)
     k1, k2, k3, k4, p1, p2 = (fields.number(key) or 0.0 for key in DISTORTION)
-    model = fields.text("camera_model") or (FISHEYE if fields.find("is_fisheye") else "OPENCV")
     if model == FISHEYE:
         return lenses.fisheye((width, height), (fx, fy), centre, (k1, k2, k3, k4))
-    if model not in PERSPECTIVE:
-        raise fields.wrong("camera_model", f"one of {', '.join(sorted(PERSPECTIVE))} or {FISHEYE}")
+    if model not in {*PERSPECTIVE, PARALLEL}:
+        known = sorted([*PERSPECTIVE, FISHEYE, PANORAMA])
+        raise fields.wrong("camera_model", f"one of {', '.join(known)} or {PARALLEL}")
     if k4:
         raise fields.wrong("k4", "zero for a lens that is no fisheye")
     return lenses.perspective((width, height), (fx, fy), centre, (k1, k2, k3), (p1, p2))

@@ -1,7 +1,7 @@
 """Photos with known cameras, which every loader uses: read, undistorted, turned and resized on demand."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,13 +10,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from splatax.cameras import Camera
+from splatax.cameras import Camera, from_colmap
+from splatax.cameras.conventions import COLMAP_MODELS, PANORAMA
+from splatax.cameras.lenses import Orthographic
 from splatax.dataset import Pixels, Survey, View
 from splatax.errors import DatasetError, shown
 from splatax.io import images
 from splatax.io.damage import blamed_on
 from splatax.io.datasets import masks, names
-from splatax.io.datasets.undistortion import undistortion
+from splatax.io.datasets.undistortion import is_pinhole, undistortion
 from splatax.resampling import resize
 
 if TYPE_CHECKING:
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
 RESIZED_FOLDERS = (2, 4, 8)  # images_2, images_4, images_8: photos that another tool has shrunk
 LARGEST_SIDE = 1600  # pixels, of photos loaded without `downscale` (as in INRIA's code)
 LARGEST_CAMERA = 1 << 20  # pixels of a side, more than any photo has
+KNOWN = {*COLMAP_MODELS, PANORAMA}  # lenses that need not be undistorted
 NAMED = 3  # photos that a message names; the rest are counted
 
 
@@ -53,6 +56,7 @@ class Source:
         divisor: factor by which decoding shrinks the photo to fit into memory.
         camera: camera at the decoded size.
         cam_from_world: pose, with x right, y down, z forward.
+        parallel: true for an orthophoto, whose focal lengths are pixels for a world unit.
     """
 
     name: str
@@ -62,13 +66,30 @@ class Source:
     divisor: int
     camera: "pycolmap.Camera"
     cam_from_world: Float[np.ndarray, "3 4"]
+    parallel: bool = False
 
-    def view(self, factor: float) -> View:
-        """Returns the view at 1 / factor of the stored photo's size, but no larger than the decoded photo."""
+    @property
+    def known(self) -> bool:
+        """Whether splatax has the lens of the photo, so that it need not be undistorted."""
+        return self.camera.model.name in KNOWN
+
+    def view(self, factor: float, undistort: bool) -> View:
+        """Returns the view at 1 / factor of the stored photo's size, but no larger than the decoded photo.
+
+        Args:
+            factor: at least 1.
+            undistort: resamples the photo for a pinhole camera. The photo of a lens that splatax does not
+                know is always resampled.
+        """
         factor = max(factor / self.divisor, 1.0)
         with blamed_on(self.path, "its camera cannot be used", "Calibrate it again.", DatasetError):
-            pinhole, straighten = undistortion(self.camera, factor)
-            camera = camera_of(pinhole, self.cam_from_world)
+            if undistort or not self.known:
+                pinhole, straighten = undistortion(self.camera, factor)
+                camera = camera_of(pinhole, self.cam_from_world)
+            else:
+                straighten = unchanged
+                camera = camera_of(self.camera, self.cam_from_world)
+                camera = replace(camera, lens=Orthographic()) if self.parallel else camera
         width, height = (max(1, round(side / factor)) for side in (camera.width, camera.height))
         mask = None
         if self.mask:
@@ -87,6 +108,11 @@ class Source:
             return resize(straighten(pixels), width, height)
 
 
+def unchanged(pixels: Pixels) -> Pixels:
+    """Returns a photo as it is."""
+    return pixels
+
+
 def source_of(
     name: str,
     path: Path,
@@ -94,6 +120,7 @@ def source_of(
     cam_from_world: Float[np.ndarray, "3 4"],
     capture: Path,
     mask: Path | None = None,
+    parallel: bool = False,
 ) -> Source:
     """Returns the source of a photo, with its camera scaled to the photo's actual size.
 
@@ -104,6 +131,7 @@ def source_of(
         cam_from_world: pose.
         capture: folder in which photo and mask must lie after all links are followed.
         mask: path of its mask, if it has one.
+        parallel: true for an orthophoto.
 
     Raises:
         DatasetError: if the proportions of the photo and the camera differ, upright or not, a number of the
@@ -121,7 +149,7 @@ def source_of(
         # Proportions are equal up to the rounding of a resize.
         if abs(width * camera.height / camera.width - height) <= 1.5:
             camera.rescale(width, height)
-            return Source(name, path, mask, upright, header.divisor, camera, cam_from_world)
+            return Source(name, path, mask, upright, header.divisor, camera, cam_from_world, parallel)
     width, height = images.size_of(path)
     raise DatasetError(
         f"{path}: {width} x {height} pixels, but its camera is {camera.width} x {camera.height}: other "
@@ -136,10 +164,11 @@ def check_camera(path: Path, camera: "pycolmap.Camera", cam_from_world: Float[np
         DatasetError: if the camera has no pixels or no positive focal length, or a number is not finite.
     """
     with np.errstate(over="ignore", under="ignore"):  # cameras are used in float32
-        lens = np.array([camera.focal_length_x, camera.focal_length_y, *camera.params], np.float32)
+        focal = focal_lengths(camera)
+        lens = np.array([*focal, *camera.params], np.float32)
         pose = cam_from_world.astype(np.float32)
     sized = all(0 < side <= LARGEST_CAMERA for side in (camera.width, camera.height))
-    if not (sized and np.isfinite(lens).all() and lens[:2].min() > 0):
+    if not (sized and np.isfinite(lens).all() and lens[: len(focal)].min() > 0):
         values = " ".join(f"{value:.6g}" for value in camera.params)
         raise DatasetError(
             f"{path}: its camera is {camera.width} x {camera.height} pixels with the parameters "
@@ -151,17 +180,23 @@ def check_camera(path: Path, camera: "pycolmap.Camera", cam_from_world: Float[np
         )
 
 
-def camera_of(pinhole: "pycolmap.Camera", cam_from_world: Float[np.ndarray, "3 4"]) -> Camera:
-    """Returns a `Camera` from COLMAP's pinhole intrinsics and a pose."""
-    return Camera(
-        fx=jnp.float32(pinhole.focal_length_x),
-        fy=jnp.float32(pinhole.focal_length_y),
-        cx=jnp.float32(pinhole.principal_point_x),
-        cy=jnp.float32(pinhole.principal_point_y),
-        cam_from_world=jnp.asarray(np.vstack([cam_from_world, [0, 0, 0, 1]]), jnp.float32),
-        width=pinhole.width,
-        height=pinhole.height,
-    )
+def focal_lengths(camera: "pycolmap.Camera") -> tuple[float, ...]:
+    """Returns the focal lengths of a camera, pixels; its size for a panorama, which has none."""
+    if camera.model.name == PANORAMA:
+        return float(camera.width), float(camera.height)
+    return camera.focal_length_x, camera.focal_length_y
+
+
+def camera_of(calibrated: "pycolmap.Camera", cam_from_world: Float[np.ndarray, "3 4"]) -> Camera:
+    """Returns a `Camera` from COLMAP's intrinsics and a pose."""
+    pose = jnp.asarray(np.vstack([cam_from_world, [0, 0, 0, 1]]), jnp.float32)
+    model, parameters = calibrated.model.name, calibrated.params.tolist()
+    if is_pinhole(calibrated):  # some readers write zeros for the distortion
+        model, parameters = (
+            "PINHOLE",
+            [*focal_lengths(calibrated), calibrated.principal_point_x, calibrated.principal_point_y],
+        )
+    return from_colmap(model, parameters, calibrated.width, calibrated.height, pose)
 
 
 def shrink_factor(sources: list[Source], already: int, downscale: int | None) -> float:
@@ -188,7 +223,7 @@ def survey(
 
 def lens(camera: "pycolmap.Camera") -> str:
     """Describes a camera in words: "SIMPLE_RADIAL 504 x 378, f=407.57 cx=252 cy=189 k=0.01975"."""
-    names = camera.params_info.split(", ")
+    names = [name.strip() for name in camera.params_info.split(",")]
     values = " ".join(f"{name}={value:.6g}" for name, value in zip(names, camera.params, strict=True))
     return f"{camera.model.name} {camera.width} x {camera.height}, {values}"
 

@@ -1,13 +1,13 @@
 """Measures how well cameras and points agree, using splatax's own projection."""
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
-import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from splatax.cameras import Camera
+from splatax.cameras.geometry import seen_at
+from splatax.cameras.lenses import Pinhole
 
 if TYPE_CHECKING:
     import pycolmap
@@ -38,18 +38,18 @@ def reprojection_errors(
         sample = observed[:: -(-len(observed) // SAMPLES)]
         count, sample = len(sample), (sample * SAMPLES)[:SAMPLES]  # repeated to fill the fixed shape
         points = np.array([model.point3D(p.point3D_id).xyz for p in sample], np.float32)
-        # COLMAP's lens model maps observations to slopes; the pinhole maps slopes to pixels of the view.
-        camera = cameras[name]
-        slopes = model.camera(image.camera_id).cam_from_img(np.array([p.xy for p in sample]))
-        seen = np.asarray(slopes) * [float(camera.fx), float(camera.fy)] + [
-            float(camera.cx),
-            float(camera.cy),
-        ]
-        drawn = _to_pixels(replace(camera, width=1, height=1), points)
-        errors[name] = np.linalg.norm(np.asarray(drawn) - seen, axis=1)[:count]
+        seen = observed_at(model.camera(image.camera_id), np.array([p.xy for p in sample]), cameras[name])
+        drawn, _ = seen_at(cameras[name], points)
+        apart = np.linalg.norm(drawn - seen, axis=1)[:count]
+        errors[name] = apart[np.isfinite(apart)]
     return errors
 
 
-@jax.jit
-def _to_pixels(camera: Camera, points: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
-    return jax.vmap(lambda point: camera.to_pixel(camera.to_camera(point)))(points)
+def observed_at(
+    calibrated: "pycolmap.Camera", pixels: Float[np.ndarray, "n 2"], camera: Camera
+) -> Float[np.ndarray, "n 2"]:
+    """Returns observations of a photo in the pixels of its view, which may be undistorted or smaller."""
+    if isinstance(camera.lens, Pinhole):  # COLMAP's lens model maps observations to slopes
+        slopes = np.asarray(calibrated.cam_from_img(pixels))
+        return slopes * np.asarray(camera.focal) + np.asarray(camera.center)
+    return pixels * [camera.width / calibrated.width, camera.height / calibrated.height]

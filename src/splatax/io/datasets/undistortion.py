@@ -28,14 +28,19 @@ def undistortion(
     """
     import pycolmap
 
-    # pycolmap calls every camera that is not a fisheye a "perspective pinhole", even with distortion.
-    if camera.is_perspective_pinhole() and camera.is_undistorted():
+    if is_pinhole(camera):
         return camera, lambda pixels: pixels
     options = pycolmap.UndistortCameraOptions()
     pinhole = pycolmap.undistort_camera(options, camera)
     if shrinking >= ENOUGH_SHRINKING:
         return pinhole, partial(bilinear, camera, options)
     return pinhole, partial(cubic, described(camera), described(pinhole))
+
+
+def is_pinhole(camera: "pycolmap.Camera") -> bool:
+    """Returns whether a camera has no distortion, or coefficients that are all zero."""
+    # pycolmap calls every camera that is not a fisheye a "perspective pinhole", even with distortion.
+    return camera.is_perspective_pinhole() and camera.is_undistorted()
 
 
 def bilinear(camera: "pycolmap.Camera", options: "pycolmap.UndistortCameraOptions", pixels: Pixels) -> Pixels:

@@ -11,8 +11,9 @@ from numpy.testing import assert_allclose
 
 import splatax as sx
 from scenes import random_gaussians
+from splatax.cameras.lenses import Pinhole, opencv
 from splatax.math import rigid
-from splatax.training.camera_refinement import Focal, Poses, Together, rate_for, refined
+from splatax.training.camera_refinement import Distortion, Focal, Poses, Together, rate_for, refined
 from splatax.training.density import NoDensityControl
 from splatax.training.feed import batches, sources
 from splatax.training.loop import first_state, optimize
@@ -135,3 +136,28 @@ def test_refinement_recovers_what_cameras_wrong_by_a_pixel_cost(data):
     print(f"PSNR {right:.2f}, {lost:.2f}, {regained:.2f} dB; angles {before:.2f}, {after:.2f} mrad")
     assert right - lost > 1
     assert regained - lost > 0.6 * (right - lost)
+
+
+def test_distortion_that_a_capture_lacks_is_found():
+    """Photos of a lens with k1 and k2, given as those of a pinhole."""
+    lens = opencv(-0.12, 0.04)
+    views = []
+    for view in capture().train:
+        camera = replace(view.camera, lens=lens)
+        photo = np.asarray(jnp.round(255 * jnp.clip(sx.render(TRUTH, camera, backend="xla").rgb, 0, 1)))
+        views.append(replace(view, camera=camera, pixels=lambda photo=photo: photo.astype(np.uint8)))
+    wrong = tuple(replace(view, camera=replace(view.camera, lens=Pinhole())) for view in views)
+    recipe = replace(KNOWN, steps=300, camera_refinement=Distortion(reach=2.0))
+    _, found = learn(wrong, recipe, TRUTH)
+    corner = jnp.array([1.0, -1.0]) * view_corner(views[0].camera)
+    for share in (0.25, 0.5, 0.75, 1.0):  # k1 and k2 trade against each other; places of pixels tell
+        place = jnp.append(share * corner, 1.0)
+        expected = views[0].camera.to_pixel(place)
+        assert np.linalg.norm(wrong[0].camera.to_pixel(place) - expected) > 0.3 or share < 1
+        for view in found:
+            assert_allclose(view.camera.to_pixel(place), expected, atol=0.1)
+
+
+def view_corner(camera):
+    """Slopes of the corner of a camera's image."""
+    return jnp.array([camera.width, camera.height]) / 2 / camera.focal

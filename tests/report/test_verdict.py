@@ -8,10 +8,10 @@ import pytest
 
 import splatax as sx
 from splatax.evaluation import ViewScore
-from splatax.report.next_photos import spacing_of, spots_of
+from splatax.report.next_photos import ISOLATED, spacing_of, spots_of
 from splatax.report.page import Account, report
 from splatax.report.plan import places
-from splatax.report.verdict import ISOLATED, verdict_of
+from splatax.report.verdict import verdict_of
 from splatax.runs.history import History
 from splatax.runs.results import Comparison
 
@@ -43,8 +43,8 @@ def test_a_good_scene_is_called_good_and_nothing_is_bad(dataset):
 
 
 def test_a_photo_of_another_brightness_is_blamed_on_exposure(dataset):
-    verdict = judged(dataset, [18.0, 30.0, 30.0], gain=4.0)
-    assert verdict.bad[0].what.startswith("view00.png is clearly different")
+    verdict = judged(dataset, [21.0, 28.0, 28.0], gain=5.0)
+    assert verdict.bad[0].what.startswith("view00.png is clearly different from the photo")
     assert verdict.bad[0].why.startswith("Exposure")
 
 
@@ -65,6 +65,12 @@ def test_an_error_in_one_place_is_blamed_on_what_is_there(dataset):
 def azimuth(view):
     x, y, _ = np.asarray(view.camera.position)
     return np.degrees(np.arctan2(y, x))
+
+
+def test_a_picture_without_contrast_is_called_hazy(dataset):
+    fog = (0.3 * NOISE + 90).astype(np.uint8)
+    verdict = judged(dataset, [15.0, 30.0, 30.0], gain=3.0, images={"view00.png": fog})
+    assert verdict.bad[0].why.startswith("Haze")
 
 
 def without_sector(dataset, low, high):

@@ -13,6 +13,7 @@ LARGE, LARGEST = 2.5, 120.0  # a gap: times the median step around the subject; 
 LEAST = 20.0  # degrees that a gap has at least
 FLAT = 8.0  # degrees of elevation that cameras around a subject span, below which they are at one height
 MOST = 6  # spots
+ISOLATED = 1.4  # times the usual distance to the nearest training photo, from which a photo stands alone
 TURN = 1.0  # weight of the angle between directions, radians, beside distance as a fraction of the extent
 
 
@@ -43,7 +44,7 @@ def spots_of(dataset: Dataset, bad: Sequence[str]) -> list[Spot]:
     cameras = {view.name: view.camera for view in dataset.views}
     spots = _gaps(dataset) if len(cameras) > 4 else []
     for name in bad:
-        if name in cameras and spacing_of(dataset, name) > 1:
+        if name in cameras and spacing_of(dataset, name) > ISOLATED:
             position = rig.positions_of([cameras[name]])[0]
             why = f"{name} is matched badly, and the other photos are far from it."
             spots.append(Spot(position, why, "Take two or three photos on each side of it.", False))

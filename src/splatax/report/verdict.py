@@ -10,7 +10,7 @@ from splatax.evaluation import ViewScore
 from splatax.inspection.looks import look_of, robust_scores
 from splatax.inspection.problems import LEAST_SHARPNESS, OUTLIER, TWICE
 from splatax.io.datasets.photos import counted, listed
-from splatax.report.next_photos import Spot, spacing_of, spots_of
+from splatax.report.next_photos import ISOLATED, Spot, spacing_of, spots_of
 from splatax.runs.results import Comparison
 
 GRADES = (  # least PSNR, dB, and how a picture of the scene then looks beside the photo
@@ -21,8 +21,8 @@ GRADES = (  # least PSNR, dB, and how a picture of the scene then looks beside t
 )
 GOOD, POOR = 27.0, 22.0  # dB from which a photo counts as matched, and below which as not
 BEHIND = 3.0  # dB below the median photo from which a photo counts as bad
-ISOLATED = 1.4  # times the usual distance to the nearest training photo
 CORRECTABLE = 1.5  # dB that a colour correction gains
+HAZE = 0.65  # of the contrast of the photo: a picture with less is hazy
 CONCENTRATED, PART = 0.6, 0.05  # fraction of the squared error that lies in this fraction of the pixels
 FEW = 20  # photos
 
@@ -164,10 +164,16 @@ def _cause(
             "Poses: points project further from where this photo shows them than in the other photos.",
             "Leave it out, or find the cameras again: splatax reconstruct.",
         )
-    if score.corrected_psnr - score.psnr > CORRECTABLE:
+    bar = _bar(np.array([each.psnr for each in scores]))
+    if score.corrected_psnr - score.psnr > CORRECTABLE and score.corrected_psnr >= bar:
         return (
             "Exposure: its brightness or white balance differs from the other photos.",
             "Lock exposure and white balance, or train with appearance exposure.",
+        )
+    if score.name in shown and _hazy(shown[score.name]):
+        return (
+            "Haze: something hangs in front of the camera there that no other photo shows to be empty.",
+            "Take photos beside and behind this place, and train longer.",
         )
     if spacing_of(dataset, score.name) > ISOLATED:
         return (
@@ -196,6 +202,10 @@ def _blurred(name: str, shown: dict[str, Comparison]) -> bool:
         return False
     sharpness = np.log([max(look_of(each.photo).sharpness, 1e-3) for each in shown.values()])
     return bool(robust_scores(sharpness, LEAST_SHARPNESS)[list(shown).index(name)] < -OUTLIER)
+
+
+def _hazy(comparison: Comparison) -> bool:
+    return float(comparison.image.std()) < HAZE * float(comparison.photo.std())
 
 
 def _concentrated(comparison: Comparison) -> bool:

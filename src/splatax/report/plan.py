@@ -77,7 +77,9 @@ def places(dataset: Dataset, good: Mapping[str, bool], spots: Sequence[Spot]) ->
     figure = Figure(figsize=(5.6, 6), layout="constrained", dpi=DPI)
     FigureCanvasAgg(figure)
     panel = figure.subplots()
-    panel.scatter(*(cloud @ ground.T).T, c=np.clip(colors, 0, 1), s=1.5, linewidths=0, alpha=0.4)
+    panel.scatter(
+        cloud @ ground[0], cloud @ ground[1], c=np.clip(colors, 0, 1), s=1.5, linewidths=0, alpha=0.4
+    )
     looking = axes[:, 2] @ ground.T * half * ARROW
     states = [good.get(view.name) for view in dataset.views]
     for state, color, label in (
@@ -88,9 +90,9 @@ def places(dataset: Dataset, good: Mapping[str, bool], spots: Sequence[Spot]) ->
         rows = np.array([each is state for each in states])
         if rows.any():
             panel.quiver(*flat[rows].T, *looking[rows].T, color=color, width=0.004, **QUIVER)
-            panel.scatter(*flat[rows].T, color=color, s=22, label=label)
+            panel.scatter(flat[rows, 0], flat[rows, 1], color=color, s=22, label=label)
     if len(next_ones):
-        panel.scatter(*next_ones.T, color=NEXT, s=170, marker="*", label="next photos")
+        panel.scatter(next_ones[:, 0], next_ones[:, 1], color=NEXT, s=170, marker="*", label="next photos")
         for number, place in enumerate(next_ones, start=1):
             panel.annotate(str(number), place, (6, 6), textcoords="offset points", color=NEXT, fontsize=13)
     panel.set_xlim(centre[0] - half, centre[0] + half)
@@ -109,7 +111,7 @@ def png(figure: Any) -> str:
     return encoded(buffer.getvalue(), "image/png")
 
 
-QUIVER = {"angles": "xy", "scale_units": "xy", "scale": 1}
+QUIVER: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1}
 
 
 def directions(dataset: Dataset) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 3"]]:

@@ -25,7 +25,13 @@ HEAVIER = 1.45  # a step of a capture than one of a procedural scene: 1.6 measur
 COMPILING = 0.7  # seconds for each size of the arrays that a scene grows through
 FEWEST_STEPS = 200  # with fewer, scenes are unusable: a run rather takes longer than asked
 PARTS = 400  # of a run, over which the cost of its steps is summed
-RECENT = 0.5  # weight of the latest speed among all measured so far
+RECENT = (
+    5  # looks at the clock whose median is the speed: growing compiles programs, which is no lasting delay
+)
+STRIDE, STEADY = (
+    1.25,
+    0.7,
+)  # most that one look changes the number of steps by, up to this fraction of the run
 ROUND = 1_000  # Gaussians: plans that differ little share compiled programs
 SIZES = {"": 1.0, "b": 1.0, "kb": 1e3, "mb": 1e6, "gb": 1e9, "mib": 2.0**20, "gib": 2.0**30}
 UNITS = {"s": 1.0, "sec": 1.0, "min": 60.0, "m": 60.0, "h": 3600.0}
@@ -238,13 +244,13 @@ class Clock(Changes):
         checked: step and seconds of the last call of `note`.
         expected: what the steps were planned to take. None, as for a resumed run, assumes that all steps
             take as long as the latest.
-        slowness: measured time of steps over the planned time, recent ones first; 0 before it is measured.
+        slowness: measured time of steps over the planned time, for each look at the clock.
     """
 
     seconds: float = 0.0
     checked: tuple[int, float] = (0, 0.0)
     expected: Expected | None = None
-    slowness: float = 0.0
+    slowness: list[float] = field(default_factory=list)
 
     def due(self, step: int, total: int) -> bool:
         """Returns true every 5 percent of the run; if it was not planned, after its first fifth."""
@@ -267,19 +273,22 @@ class Clock(Changes):
         if before == 0:  # this part has compiled the first program
             return
         modelled = self.expected.seconds_left(before, total) - self.expected.seconds_left(step, total)
-        now = (seconds - then) / max(modelled, 1e-9)
-        self.slowness = RECENT * now + (1 - RECENT) * self.slowness if self.slowness else now
-        planned = max(self._affordable(step, self.seconds - seconds), FEWEST_STEPS, step + 1)
+        self.slowness.append((seconds - then) / max(modelled, 1e-9))
+        planned = self._affordable(step, self.seconds - seconds)
+        if step < STEADY * total:
+            planned = round(np.clip(planned, total / STRIDE, total * STRIDE))
+        planned = max(planned, FEWEST_STEPS, step + 1)
         if planned != total:
             self.made.append((step, planned))
 
     def _affordable(self, step: int, left: float) -> int:
         """Returns the most steps for which the rest of the run takes no longer than the time left."""
         assert self.expected
+        slowness = float(np.median(self.slowness[-RECENT:]))
         low, high = step, 10_000_000
         while low < high:
             middle = (low + high + 1) // 2
-            if self.slowness * self.expected.seconds_left(step, middle) <= left:
+            if slowness * self.expected.seconds_left(step, middle) <= left:
                 low = middle
             else:
                 high = middle - 1

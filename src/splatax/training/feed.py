@@ -64,7 +64,7 @@ def batches(
     indices = islice(order(len(views), seed, start // len(views)), start % len(views), None)
     sizes = [(view.camera.width, view.camera.height) for view in views]
     with ThreadPoolExecutor(1) as reader:
-        ahead: tuple[int, Future] | None = None
+        ahead: tuple[int, Future[tuple[Camera, Pixels, Mask | None]]] | None = None
         index = next(indices)
         for step in count(start + 1):
             divisor = resolution.divisor(step, sizes[index])

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 
 from splatax.dataset import Dataset
 from splatax.gaussians import Gaussians
+from splatax.low_pass import Dilation
 from splatax.math import harmonics
 from splatax.training.backgrounds import Solid
 from splatax.training.capacity import bucket_for, pad
@@ -49,7 +50,8 @@ def tune(gaussians: Gaussians, dataset: Dataset, recipe: Recipe) -> Iterator[Pro
         recipe: such as `tuning` returns.
     """
     count = len(gaussians)
-    copied = jax.tree.map(jnp.array, gaussians)
+    # During training the recipe holds the filter, and scenes have the default one.
+    copied = replace(jax.tree.map(jnp.array, gaussians), low_pass=Dilation())
     padded = pad(copied, bucket_for(count))
     state = first_state(padded, recipe, dataset.extent, len(dataset.train))
     yield from optimize(dataset, recipe, RunState(state, count))

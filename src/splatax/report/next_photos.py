@@ -1,4 +1,4 @@
-"""Where to take the next photos: gaps between the cameras, and places whose photos are bad."""
+"""Places for the next photos: gaps between the cameras, and places whose photos are matched badly."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What is good and what is bad about a scene, and why, in words."""
+"""The verdict on a scene in words: the good, the bad, and the probable causes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -44,7 +44,7 @@ class Complaint:
 
 @dataclass(frozen=True)
 class Verdict:
-    """How a scene turned out.
+    """The judgement of a scene in words.
 
     Attributes:
         headline: one sentence.

@@ -42,6 +42,11 @@ def test_a_good_scene_is_called_good_and_nothing_is_bad(dataset):
     assert not verdict.bad
 
 
+def test_a_scene_that_is_evenly_poor_is_not_called_faultless(dataset):
+    verdict = judged(dataset, [24.0, 24.5, 25.0])
+    assert [each.what for each in verdict.bad] == ["All pictures lack fine detail."]
+
+
 def test_a_photo_of_another_brightness_is_blamed_on_exposure(dataset):
     verdict = judged(dataset, [21.0, 28.0, 28.0], gain=5.0)
     assert verdict.bad[0].what.startswith("view00.png is clearly different from the photo")

@@ -16,7 +16,7 @@ from splatax.runs.results import Comparison
 GRADES = (  # least PSNR, dB, and how a picture of the scene then looks beside the photo
     (32.0, "nearly the same as the photo"),
     (27.0, "close to the photo, with small differences"),
-    (22.0, "recognizable, with blur or wrong details"),
+    (22.0, "similar to the photo, but softer or with wrong details"),
     (-np.inf, "clearly different from the photo"),
 )
 GOOD, POOR = 27.0, 22.0  # dB from which a photo counts as matched, and below which as not
@@ -81,6 +81,7 @@ def verdict_of(
     complaints = [
         *_unseen_photos(unseen),
         *_bad_photos(dataset, scores, comparisons),
+        *_evenly_poor(psnrs),
         *_number(dataset),
         *(
             Complaint("There are gaps between the photos.", spot.why, spot.mend)
@@ -215,6 +216,18 @@ def _concentrated(comparison: Comparison) -> bool:
     )
     worst = errors[-max(round(PART * len(errors)), 1) :]
     return bool(worst.sum() > CONCENTRATED * errors.sum())
+
+
+def _evenly_poor(psnrs: np.ndarray) -> list[Complaint]:
+    if np.median(psnrs) >= GOOD or (psnrs < _bar(psnrs)).any():
+        return []
+    return [
+        Complaint(
+            "All pictures lack fine detail.",
+            "No photo is much worse than the others, so the cause is not in single photos.",
+            "Train longer, or take more and sharper photos from nearer.",
+        )
+    ]
 
 
 def _number(dataset: Dataset) -> list[Complaint]:

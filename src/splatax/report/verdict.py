@@ -80,7 +80,7 @@ def verdict_of(
     spots = spots_of(dataset, [name for name, good in matched.items() if not good])
     complaints = [
         *_unseen_photos(unseen),
-        *_bad_photos(dataset, scores, comparisons),
+        *_bad_photos(dataset, scores, () if trial else comparisons),  # the trial's pictures are not kept
         *_evenly_poor(psnrs),
         *_number(dataset),
         *(

@@ -14,7 +14,7 @@ def short(monkeypatch):
     def train(self):
         (self.out / "scene.ply").touch()
 
-    monkeypatch.setattr(demo, "write_capture", lambda folder: folder.mkdir())
+    monkeypatch.setattr(demo, "write_capture", lambda folder, scene: folder.mkdir())
     monkeypatch.setattr(demo.Train, "run", train)
 
 

@@ -96,6 +96,17 @@ def test_up_puts_a_run_upright(trained, capture, tmp_path):
     assert len(sx.load(out)) == len(sx.load(trained / "scene.ply"))
 
 
+def test_a_fraction_is_kept_and_tuned_on_the_capture(trained, capture, tmp_path, capsys):
+    count = len(sx.load(trained / "scene.ply"))
+    pruned, tuned = tmp_path / "pruned.ply", tmp_path / "tuned.ply"
+    export(trained, pruned, "--scene", capture, "--simplify", 0.5, "--tune", 0)
+    assert "tuning" not in capsys.readouterr().out
+    export(trained, tuned, "--scene", capture, "--simplify", 0.5, "--tune", 3)
+    assert f"tuning {round(count / 2):,} Gaussians on " in capsys.readouterr().out
+    assert len(sx.load(pruned)) == len(sx.load(tuned)) == round(count / 2)
+    assert not np.array_equal(sx.load(pruned).means, sx.load(tuned).means)
+
+
 def test_what_cannot_be_done_is_refused_and_nothing_written(model, tmp_path, capsys):
     taken = tmp_path / "taken.spz"
     taken.write_bytes(b"earlier")
@@ -106,6 +117,8 @@ def test_what_cannot_be_done_is_refused_and_nothing_written(model, tmp_path, cap
         ((model, tmp_path / "a.ply", "--up", "auto"), "--scene"),
         ((model, tmp_path / "a.ply", "--spz-version", 4), "no .spz file"),
         ((model, tmp_path / "a.ply", "--simplify", 0), "--simplify"),
+        ((model, tmp_path / "a.ply", "--simplify", 1.5), "a fraction between 0 and 1"),
+        ((model, tmp_path / "a.ply", "--simplify", 5, "--tune", -1), "--tune"),
         ((model, tmp_path / "a.ply", "--scale", 0), "--scale"),
         ((model, tmp_path / "a.ply", "--rotate", "nan", 0, 0), "--rotate"),
         ((model, tmp_path / "a.ply", "--crop-sphere", 9, 9, 9, 1), "this would remove every Gaussian"),

@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import splatax as sx
 from splatax.demo.capture import write_capture
-from splatax.demo.dataset import PHOTOS, cameras
 from splatax.demo.raycast import look
+from splatax.demo.scenes.still_life import STILL_LIFE
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def capture(tmp_path_factory):
 
 def test_the_capture_loads_as_any_other(capture):
     dataset = sx.load_dataset(capture)
-    assert f"{PHOTOS} of {PHOTOS} photos registered" in dataset.notes
+    assert "24 of 24 photos registered" in dataset.notes
     assert [view.name for view in dataset.test] == ["view00.png", "view08.png", "view16.png"]
     assert "median reprojection error 0.00 px" in " ".join(dataset.notes)
     assert dataset.views[0].pixels().shape == (120, 160, 3)
@@ -57,12 +57,12 @@ def test_the_data_set_in_memory_is_the_capture_on_disk(capture):
 
 @pytest.mark.parametrize("photos", [1, 7, 35])
 def test_no_two_cameras_of_a_data_set_stand_in_one_place(photos):
-    positions = np.stack([np.asarray(camera.position) for camera in cameras(photos)])
+    positions = np.stack([np.asarray(camera.position) for camera in STILL_LIFE.cameras(photos)])
     assert len(np.unique(positions.round(4), axis=0)) == photos
 
 
 def test_photos_of_another_size_show_the_same_width_of_the_scene():
-    (full,), (half,) = cameras(1), cameras(1, (80, 60))
+    (full,), (half,) = STILL_LIFE.cameras(1), STILL_LIFE.cameras(1, (80, 60))
     assert float(half.fx) == pytest.approx(float(full.fx) / 2)
     assert (half.width, half.height) == (80, 60)
 
@@ -73,11 +73,11 @@ def test_a_data_set_without_photos_is_refused():
 
 
 def test_the_highlight_moves_with_the_view():
-    views = cameras()[:8]
+    views = STILL_LIFE.cameras()[:8]
     sharpest = []
     for camera in views:
         x, y = np.meshgrid(np.arange(160) + 0.5, np.arange(120) + 0.5)
-        seen = look(camera, np.stack([x.ravel(), y.ravel()], axis=1).astype(np.float32))
+        seen = look(camera, np.stack([x.ravel(), y.ravel()], axis=1).astype(np.float32), STILL_LIFE)
         on_ball = np.linalg.norm(np.asarray(seen.point) - [-0.15, -0.1, 0.36], axis=1) < 0.361
         green = np.where(on_ball, np.asarray(seen.color)[:, 1], -1)  # the ball is red, its highlight white
         sharpest.append(np.asarray(seen.point)[green.argmax()])

@@ -167,7 +167,8 @@ def test_the_page_needs_nothing_else_and_escapes_names(capture):
     assert "&lt;script&gt;alert(1)" in page
     assert set(re.findall(r'src="(.{5})', page)) == {"data:"}
     assert not re.findall(r'<link|url\(["\']?http|href="http', page)
-    assert page.count("<td>photo") == COUNT
+    assert page.count("<figcaption><b>photo") == COUNT
+    assert page.count('<img src="data:image/jpeg') == COUNT  # each photo with a pose is shown
 
 
 def test_up_in_the_picture_is_where_photos_have_their_top():

@@ -11,7 +11,7 @@ from PIL import Image, ImageSequence
 
 from splatax.evaluation import Scores, ViewScore
 from splatax.report.curves import smoothed, training_curves
-from splatax.report.page import report
+from splatax.report.page import Account, report
 from splatax.report.pictures import LABEL_HEIGHT, LARGEST_ERROR, animation, data_uri, depth_map, error_map
 from splatax.runs.history import Evaluation, History
 from splatax.runs.results import Comparison
@@ -72,7 +72,7 @@ def page():
         Comparison(ViewScore(name, psnr, 0.9, psnr + 1), GRAY, GRAY)
         for name, psnr in (("good.png", 30.0), ("worst.png", 10.0), ("fair.png", 20.0))
     ]
-    return report("A & <b>", {"Gaussians": "12"}, ["9 photos"], history, comparisons, b"GIF89a")
+    return report("A & <b>", Account({"Gaussians": "12"}, ["9 photos"]), history, comparisons, b"GIF89a")
 
 
 def test_the_page_needs_nothing_else(page):
@@ -111,5 +111,5 @@ def test_text_is_escaped(page):
 
 
 def test_a_run_of_one_step_without_test_views_has_a_page_too():
-    page = report("one", {}, [], History(losses=[0.5], counts=[10]), [], b"")
+    page = report("one", Account({}), History(losses=[0.5], counts=[10]), [], b"")
     assert "Training progress" not in page

@@ -11,6 +11,7 @@ from splatax.runs.budget import (
     Clock,
     Cost,
     Costs,
+    Expected,
     coarse_size,
     mean_count,
     measured,
@@ -70,12 +71,43 @@ def test_a_run_ends_in_time_whatever_the_plan_took_the_speed_for(factor):
     total, seconds, step = 1000, 0.0, 0
     while step < total:
         step += 1
-        seconds += 0.04 * factor * (min(step / 333, 1) * 0.8 + 0.2)  # dearer while the scene grows
-        seconds += 0.05 * factor * (step > 500)  # and with larger photos
+        done = step / total
+        seconds += 0.04 * factor * (min(3 * done, 1) * 0.8 + 0.2)  # dearer while the scene grows
+        seconds += 0.05 * factor * (done > 0.5)  # and with larger photos
         if clock.due(step, total):
             clock.note(step, total, seconds)
         total = clock(step) or total
     assert seconds == pytest.approx(60.0, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    "busy",
+    [
+        lambda seconds: 0.6,
+        lambda seconds: 1.0,
+        lambda seconds: 1.8,
+        lambda seconds: 1.0 if seconds < 25 else 2.5,
+        lambda seconds: 2.5 if seconds < 25 else 1.0,
+        lambda seconds: 1.0 + (seconds % 10 > 5),
+    ],
+    ids=["faster", "as planned", "slower", "slower later", "faster later", "in bursts"],
+)
+def test_a_planned_run_keeps_its_time_and_its_full_size_half_on_a_busy_machine(busy):
+    first, budget = 10_000, 60.0
+    chosen = plan(SLOW, budget, first, room=100_000)
+    clock = Clock(seconds=budget, expected=Expected(SLOW, first, chosen.max_gaussians))
+    total, seconds, step, full_size = chosen.steps, 0.0, 0, 0
+    while step < total:
+        step += 1
+        done = step / total
+        count = first * (chosen.max_gaussians / first) ** min(3 * done, 1)
+        full_size += done > 0.5
+        seconds += busy(seconds) * (SLOW.fine if done > 0.5 else SLOW.coarse).step(count)
+        if clock.due(step, total):
+            clock.note(step, total, seconds)
+        total = clock(step) or total
+    assert seconds == pytest.approx(budget, rel=0.06)
+    assert full_size / total > 0.3  # of 0.5 as planned: the steps with photos of full size are not cut off
 
 
 def test_a_run_is_not_shortened_to_hardly_a_picture():

@@ -9,6 +9,7 @@ import tyro
 
 import splatax as sx
 from splatax import editing, web
+from splatax.cli.display import Display
 from splatax.cli.evaluate import views_of
 from splatax.cli.options import (
     BackendName,
@@ -27,6 +28,9 @@ from splatax.cli.output import say
 from splatax.cli.page import is_page, write_page
 from splatax.errors import InputError
 from splatax.io import formats
+from splatax.io.datasets.photos import counted
+from splatax.training.backgrounds import Solid
+from splatax.training.tuning import STEPS, tune, tuning
 from splatax.transforms import Similarity
 
 Triple = tuple[float, float, float]
@@ -58,8 +62,11 @@ class Export:
     """Keep the inside of a box: its lowest x y z, then its highest."""
     crop_sphere: Annotated[tuple[float, float, float, float] | None, shown_as("X Y Z RADIUS")] = None
     """Keep the inside of a sphere: its center and radius."""
-    simplify: Annotated[int | None, shown_as("N")] = None
-    """Reduce to this many Gaussians, keeping the most important ones (with --scene: the most visible)."""
+    simplify: Annotated[int | float | None, shown_as("{N,FRACTION}")] = None
+    """Reduce to this many Gaussians, or to this fraction of them, such as 0.5. Keeps the most important ones.
+    With --scene: keeps the most visible ones, and tunes them on the capture's training photos."""
+    tune: Annotated[int, tyro.conf.arg(metavar="STEPS")] = STEPS
+    """Number of steps for which --simplify with --scene tunes what it keeps. 0: none."""
     sh_degree: Annotated[Literal[0, 1, 2, 3, 4] | None, shown_as()] = None
     """Reduce view dependence to this degree of spherical harmonics."""
     up: Annotated[Literal["auto"] | None, shown_as()] = None
@@ -122,8 +129,16 @@ class Export:
             raise InputError("--up auto: needs the cameras of a capture: --scene FOLDER.")
         if self.spz_version and not self.out.name.lower().endswith(".spz"):
             raise InputError(f"--spz-version: {self.out} is no .spz file.")
-        if self.simplify is not None and self.simplify < 1:
-            raise InputError(f"--simplify: a whole number from 1, not {self.simplify}.")
+        if (
+            self.simplify is not None
+            and not 0 < self.simplify < 1
+            and self.simplify != max(int(self.simplify), 1)
+        ):
+            raise InputError(
+                f"--simplify: a fraction between 0 and 1, or a whole number from 1, not {self.simplify}."
+            )
+        if self.tune < 0:
+            raise InputError(f"--tune: a whole number of steps from 0, not {self.tune}.")
         if not (0 < self.scale < np.inf and np.isfinite([*self.rotate, *self.move]).all()):
             raise InputError("--scale, --rotate, --move: must be finite numbers, and the scale above zero.")
 
@@ -148,10 +163,29 @@ class Export:
             gaussians = editing.crop(gaussians, editing.Box(self.crop_box[:3], self.crop_box[3:]))
         if self.crop_sphere:
             gaussians = editing.crop(gaussians, editing.Sphere(self.crop_sphere[:3], self.crop_sphere[3]))
-        if self.simplify is not None and self.simplify < len(gaussians):
+        count = self._kept(len(gaussians))
+        if count < len(gaussians):
             weights = self._weights(model, gaussians, dataset)
-            gaussians = editing.simplify(gaussians, self.simplify, weights=weights)
+            gaussians = editing.simplify(gaussians, count, weights=weights)
+            if dataset and self.tune and len(gaussians):
+                gaussians = self._tuned(model, gaussians, dataset)
         return gaussians
+
+    def _kept(self, count: int) -> int:
+        """Returns how many of so many Gaussians --simplify keeps, at least one."""
+        if self.simplify is None:
+            return count
+        return max(round(self.simplify * count), 1) if self.simplify < 1 else int(self.simplify)
+
+    def _tuned(self, model: Model, gaussians: sx.Gaussians, dataset: sx.Dataset) -> sx.Gaussians:
+        """Returns the scene after some steps of training on the capture, with a progress bar."""
+        say(f"tuning {len(gaussians):,} Gaussians on {counted(len(dataset.train))}, {self.tune:,} steps")
+        recipe = tuning(gaussians, self.tune, Solid(background_of(model.options)))
+        recipe = replace(recipe, backend=resolve_backend(self.backend))
+        with Display(self.tune) as display:
+            for progress in tune(gaussians, dataset, recipe):
+                display.step(progress.step, progress.loss, progress.count)
+        return progress.gaussians
 
     def _weights(self, model: Model, gaussians: sx.Gaussians, dataset: sx.Dataset | None):
         if dataset is None:

@@ -1,19 +1,22 @@
-"""The capture of a run: as its options say, and after a look at the photos."""
+"""The capture and the plan of a run: as its options say, and after a look at photos and machine."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import splatax as sx
-from splatax.cli.options import load_scene
+from splatax.cli.options import flag, load_scene
 from splatax.cli.output import say
 from splatax.cli.settings import Settings
 from splatax.cli.stages import Stages
 from splatax.dataset import View, without
+from splatax.errors import InputError
 from splatax.inspection.decisions import Findings, look_first
 from splatax.io.datasets.photos import counted, listed
 from splatax.io.datasets.points import read_points, write_points
 from splatax.reconstruction import triangulation
+from splatax.runs.budget import Expected, duration, measured, plan
+from splatax.runs.planning import Deadline, Room, smaller_photos
 from splatax.splits import Listed, listed_in
 from splatax.training.initialize import InFrusta, focus_distance
 
@@ -94,6 +97,60 @@ def prepared(settings: Settings, dataset: sx.Dataset, out: Path) -> tuple[Settin
             )
         settings = replace(settings, appearance="exposure" if findings.uneven else "none")
     return settings, dataset
+
+
+def planned(
+    settings: Settings, dataset: sx.Dataset, room: Room, deadline: Deadline | None = None
+) -> tuple[Settings, sx.Dataset, Expected | None]:
+    """Returns settings and capture so that they fit into the budget and the memory, and the plan's costs.
+
+    The numbers of steps and Gaussians change, and for short budgets the size of photos.
+
+    Args:
+        settings: of the run.
+        dataset: the capture.
+        room: the memory of the run.
+        deadline: of the whole command; the budget becomes what is left until then.
+
+    Raises:
+        InputError: if more Gaussians are asked for than there is room for.
+    """
+    asked = None if settings.max_gaussians == "auto" else settings.max_gaussians
+    if asked and asked > room.gaussians:
+        raise InputError(
+            f"{flag('max_gaussians')} {asked}: {flag('memory')} {settings.memory} has room for "
+            f"{room.gaussians:,}. Give more memory, or ask for fewer."
+        )
+    most = settings.most(dataset)
+    fit = int(min(most, room.gaussians))
+    if settings.seconds is None:
+        return (settings if fit == most else replace(settings, max_gaussians=fit)), dataset, None
+    say("measuring the speed of this machine ...")
+    camera, recipe = dataset.train[0].camera, settings.to_recipe(dataset)
+    costs = measured((camera.width, camera.height), recipe)
+    if deadline:
+        settings = replace(settings, budget=f"{deadline.left(dataset):.0f}s")
+    assert settings.seconds
+    first = recipe.initialization.number(dataset)
+    chosen = plan(costs, settings.seconds, first, fit, asked)
+    milliseconds = 1e3 * costs.fine.step(chosen.max_gaussians)
+    say(
+        f"plan: {chosen.steps:,} steps, {chosen.max_gaussians:,} Gaussians, {duration(settings.seconds)} "
+        f"(final steps about {milliseconds:.0f} ms each)"
+    )
+    smaller = None
+    if settings.downscale == "auto":
+        smaller = smaller_photos(lambda divisor: loaded(settings, divisor), dataset, chosen.steps)
+    if smaller is None:
+        most = chosen.max_gaussians
+        return (
+            replace(settings, steps=chosen.steps, max_gaussians=most),
+            dataset,
+            Expected(costs, first, most),
+        )
+    downscale, dataset = smaller
+    say(f"too few steps for photos of this size: --downscale {downscale}")
+    return planned(replace(settings, downscale=downscale), dataset, room, deadline)
 
 
 def spared_by(findings: Findings) -> tuple[list[str], list[str]]:

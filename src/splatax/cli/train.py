@@ -9,24 +9,23 @@ from typing import Annotated
 
 import tyro
 
-import splatax as sx
 from splatax.cli.display import Display
 from splatax.cli.interruption import Interruption
 from splatax.cli.options import flag, given, parsed, shown_as
 from splatax.cli.output import complain, say
-from splatax.cli.preparing import loaded, prepared
+from splatax.cli.preparing import loaded, planned, prepared
 from splatax.cli.settings import NAMES, Settings, as_started
 from splatax.cli.train_options import Limits, Live, Method, Photos, Rerun, Saving
 from splatax.cli.view import audience
 from splatax.errors import InputError
 from splatax.io.datasets.colmap_writing import PLACE
 from splatax.report.training import pages
-from splatax.runs.budget import DEFAULT_BUDGET, Changes, Clock, duration, measured, parse_seconds, plan
+from splatax.runs.budget import DEFAULT_BUDGET, Changes, Clock, Expected, parse_seconds
 from splatax.runs.checkpoints import Checkpoints
 from splatax.runs.claim import claimed_for_run
 from splatax.runs.finished import finished, read_runs
 from splatax.runs.history import History
-from splatax.runs.planning import Deadline, Room, gigabytes, room_within, smaller_photos
+from splatax.runs.planning import Deadline, gigabytes, room_within
 from splatax.runs.records import understood
 from splatax.runs.results import Results, conclude
 from splatax.runs.resume import OTHER, Earlier, facts, find
@@ -149,8 +148,9 @@ class Train:
             room = room_within(settings.memory_bytes, dataset, settings.initialization().number(dataset))
             if settings.memory_bytes:
                 say(f"within {gigabytes(settings.memory_bytes)}: {room}")
+            expected = None
             if earlier is None:
-                settings, dataset = planned(settings, dataset, room, deadline)
+                settings, dataset, expected = planned(settings, dataset, room, deadline)
             recipe = settings.to_recipe(dataset)
             checkpoints = Checkpoints(
                 out,
@@ -164,7 +164,7 @@ class Train:
                 recipe,
                 checkpoints,
                 history,
-                pace(settings, history),
+                pace(settings, history, expected),
                 eval_every=settings.eval_every,
                 photo_room=room.photos,
             )
@@ -207,59 +207,11 @@ class Train:
         return session.last
 
 
-def pace(settings: Settings, history: History) -> Changes:
+def pace(settings: Settings, history: History, expected: Expected | None) -> Changes:
     """Returns what may change the number of steps during the run."""
     if settings.seconds is None:
         return Changes(history.changes)
-    return Clock(history.changes, settings.seconds, (history.steps, history.train_seconds))
-
-
-def planned(
-    settings: Settings, dataset: sx.Dataset, room: Room, deadline: Deadline | None = None
-) -> tuple[Settings, sx.Dataset]:
-    """Returns settings and capture so that they fit into the budget and the memory.
-
-    The numbers of steps and Gaussians change, and for short budgets the size of photos.
-
-    Args:
-        settings: of the run.
-        dataset: the capture.
-        room: the memory of the run.
-        deadline: of the whole command; the budget becomes what is left until then.
-
-    Raises:
-        InputError: if more Gaussians are asked for than there is room for.
-    """
-    asked = None if settings.max_gaussians == "auto" else settings.max_gaussians
-    if asked and asked > room.gaussians:
-        raise InputError(
-            f"{flag('max_gaussians')} {asked}: {flag('memory')} {settings.memory} has room for "
-            f"{room.gaussians:,}. Give more memory, or ask for fewer."
-        )
-    most = settings.most(dataset)
-    fit = int(min(most, room.gaussians))
-    if settings.seconds is None:
-        return (settings if fit == most else replace(settings, max_gaussians=fit)), dataset
-    say("measuring the speed of this machine ...")
-    camera, recipe = dataset.train[0].camera, settings.to_recipe(dataset)
-    costs = measured((camera.width, camera.height), recipe)
-    if deadline:
-        settings = replace(settings, budget=f"{deadline.left(dataset):.0f}s")
-    assert settings.seconds
-    chosen = plan(costs, settings.seconds, recipe.initialization.number(dataset), fit, asked)
-    milliseconds = 1e3 * costs.fine.step(chosen.max_gaussians)
-    say(
-        f"plan: {chosen.steps:,} steps, {chosen.max_gaussians:,} Gaussians, {duration(settings.seconds)} "
-        f"(final steps about {milliseconds:.0f} ms each)"
-    )
-    smaller = None
-    if settings.downscale == "auto":
-        smaller = smaller_photos(lambda divisor: loaded(settings, divisor), dataset, chosen.steps)
-    if smaller is None:
-        return replace(settings, steps=chosen.steps, max_gaussians=chosen.max_gaussians), dataset
-    downscale, dataset = smaller
-    say(f"too few steps for photos of this size: --downscale {downscale}")
-    return planned(replace(settings, downscale=downscale), dataset, room, deadline)
+    return Clock(history.changes, settings.seconds, (history.steps, history.train_seconds), expected)
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Capture of the still life in COLMAP's layout, with exact cameras and surface points."""
+"""Capture of a drawn scene in COLMAP's layout, with exact cameras and surface points."""
 
 from pathlib import Path
 
@@ -8,30 +8,34 @@ import numpy as np
 import pycolmap
 
 from splatax.cameras import Camera
-from splatax.demo.dataset import FOCAL, HELD_OUT, SIZE, cameras, surface_points
+from splatax.demo.dataset import HELD_OUT, surface_points
 from splatax.demo.raycast import photograph, visible
+from splatax.demo.scene import Scene
+from splatax.demo.scenes.still_life import STILL_LIFE
 from splatax.io import images
 from splatax.io.datasets import TEST_LIST
 
 
-def write_capture(folder: Path) -> None:
+def write_capture(folder: Path, scene: Scene = STILL_LIFE) -> None:
     """Writes photos to FOLDER/images, a model to FOLDER/sparse/0, and FOLDER/test.txt."""
     (folder / "images").mkdir(parents=True, exist_ok=True)
     (folder / "sparse" / "0").mkdir(parents=True, exist_ok=True)
-    views = {f"view{i:02}.png": camera for i, camera in enumerate(cameras())}
+    views = {f"view{i:02}.png": camera for i, camera in enumerate(scene.cameras())}
     for name, camera in views.items():
-        images.write(folder / "images" / name, np.asarray(photograph(camera)))
-    model_of(views).write_binary(folder / "sparse" / "0")
+        images.write(folder / "images" / name, np.asarray(photograph(camera, scene)))
+    model_of(views, scene).write_binary(folder / "sparse" / "0")
     (folder / TEST_LIST).write_text("".join(f"{name}\n" for name in HELD_OUT.of(list(views))))
 
 
-def model_of(views: dict[str, Camera]) -> pycolmap.Reconstruction:
+def model_of(views: dict[str, Camera], scene: Scene) -> pycolmap.Reconstruction:
     """Returns a COLMAP model of points on surfaces, observed by all cameras that see them."""
-    positions, colors = surface_points(list(views.values()))
+    positions, colors = surface_points(list(views.values()), scene)
     model = pycolmap.Reconstruction()
-    width, height = SIZE
-    intrinsics = [FOCAL, FOCAL, width / 2, height / 2]
-    lens = pycolmap.Camera(model="PINHOLE", width=width, height=height, params=intrinsics, camera_id=1)
+    first = next(iter(views.values()))
+    intrinsics = [float(value) for value in (first.fx, first.fy, first.cx, first.cy)]
+    lens = pycolmap.Camera(
+        model="PINHOLE", width=first.width, height=first.height, params=intrinsics, camera_id=1
+    )
     model.add_camera_with_trivial_rig(lens)
     ids = [
         model.add_point3D(position, pycolmap.Track(), np.round(255 * color).astype(np.uint8))
@@ -39,7 +43,7 @@ def model_of(views: dict[str, Camera]) -> pycolmap.Reconstruction:
     ]
     for image_id, (name, camera) in enumerate(views.items(), start=1):
         pose = pycolmap.Rigid3d(np.asarray(camera.cam_from_world, np.float64)[:3])
-        pixels, visible = observations(camera, positions)
+        pixels, visible = observations(camera, positions, scene)
         image = pycolmap.Image(name=name, camera_id=1, image_id=image_id)
         image.points2D = pycolmap.Point2DList([pycolmap.Point2D(pixel) for pixel in pixels[visible]])
         model.add_image_with_trivial_frame(image, pose)
@@ -48,9 +52,11 @@ def model_of(views: dict[str, Camera]) -> pycolmap.Reconstruction:
     return model
 
 
-def observations(camera: Camera, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def observations(camera: Camera, positions: np.ndarray, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Returns the pixels of points, and a mask of those inside the image that nothing hides."""
     points = jnp.asarray(positions, jnp.float32)
-    pixels = np.asarray(jax.vmap(lambda point: camera.to_pixel(camera.to_camera(point)))(points), np.float64)
-    inside = np.all((pixels > 0) & (pixels < SIZE), axis=1)
-    return pixels, inside & np.asarray(visible(camera, points))
+    local = jax.vmap(camera.to_camera)(points)
+    pixels = np.asarray(jax.vmap(camera.to_pixel)(local), np.float64)
+    in_front = np.asarray(local[:, 2]) > 0
+    inside = in_front & np.all((pixels > 0) & (pixels < (camera.width, camera.height)), axis=1)
+    return pixels, inside & np.asarray(visible(camera, points, scene))

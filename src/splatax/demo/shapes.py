@@ -35,10 +35,10 @@ class Sphere:
     radius: float
 
     def distance(self, origin: Point, direction: Point) -> Scalar:
-        return round_distance(origin - jnp.array(self.centre), direction, self.radius)
+        return round_distance(origin - jnp.array(self.centre, float), direction, self.radius)
 
     def normal(self, point: Point) -> Point:
-        return (point - jnp.array(self.centre)) / self.radius
+        return (point - jnp.array(self.centre, float)) / self.radius
 
 
 @dataclass(frozen=True)
@@ -50,10 +50,10 @@ class Rectangle:
     b: Vector
 
     def distance(self, origin: Point, direction: Point) -> Scalar:
-        normal = jnp.array(np.cross(self.a, self.b))
-        along = (jnp.array(self.corner) - origin) @ normal / (direction @ normal)
+        normal = jnp.array(np.cross(self.a, self.b), float)
+        along = (jnp.array(self.corner, float) - origin) @ normal / (direction @ normal)
         axes = jnp.array(np.linalg.pinv(np.stack([self.a, self.b], axis=1)))
-        coordinates = axes @ (origin + along * direction - jnp.array(self.corner))
+        coordinates = axes @ (origin + along * direction - jnp.array(self.corner, float))
         inside = jnp.all((coordinates >= 0) & (coordinates <= 1)) & (along > NEAREST)
         return jnp.where(inside, along, jnp.inf)
 
@@ -84,7 +84,7 @@ class Cylinder:
         return along, vector - along * self.axis
 
     def distance(self, origin: Point, direction: Point) -> Scalar:
-        height, offset = self.split(origin - jnp.array(self.base))
+        height, offset = self.split(origin - jnp.array(self.base, float))
         climb, across = self.split(direction)
         side = round_distance(offset, across, self.radius)
         on_side = (height + side * climb >= 0) & (height + side * climb <= self.length)
@@ -97,7 +97,7 @@ class Cylinder:
         return best
 
     def normal(self, point: Point) -> Point:
-        height, outward = self.split(point - jnp.array(self.base))
+        height, outward = self.split(point - jnp.array(self.base, float))
         on_side = (height > NEAREST) & (height < self.length - NEAREST)
         ends = jnp.where(height > self.length / 2, 1, -1) * self.axis
         return jnp.where(on_side, outward / jnp.linalg.norm(outward), ends)

@@ -1,9 +1,10 @@
 """Measures the exposure and the sharpness of photos, from small versions of them."""
 
+import io
 import time
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from splatax.errors import InputError
 from splatax.io import images
 
 LONGEST_SIDE = 1000  # pixels of the size at which sharpness is measured
+THUMBNAIL_SIDE = 240  # pixels
 WORKERS = 4
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # weights of encoded RGB (Rec. 709)
 CLIPPED = 250  # level, of 255, from which a pixel counts as white
@@ -28,12 +30,14 @@ class Look:
         luminance: mean luminance, in [0, 1].
         clipped: fraction of pixels that are white.
         sharpness: variance of the Laplacian of luminance in [0, 255].
+        thumbnail: the photo as a small JPEG; empty if it was not asked for.
         unreadable: reason why the photo could not be decoded; empty if it could.
     """
 
     luminance: float = 0.0
     clipped: float = 0.0
     sharpness: float = 0.0
+    thumbnail: bytes = b""
     unreadable: str = ""
 
 
@@ -63,11 +67,25 @@ def spread(names: list[str]) -> Iterable[str]:
 
 
 def look(path: Path) -> Look:
-    """Measures one photo. A JPEG is decoded no larger than needed."""
+    """Measures one photo and makes a thumbnail of it. A JPEG is decoded no larger than needed."""
     try:
-        return look_of(images.glance(path, LONGEST_SIDE))
+        photo = images.glance(path, LONGEST_SIDE)
+        return replace(look_of(photo), thumbnail=thumbnail(photo))
     except (InputError, OSError) as error:
         return Look(unreadable=str(error))
+
+
+def thumbnail(pixels: Pixels) -> bytes:
+    """Returns a small JPEG of a photo, for pages. Transparency becomes white."""
+    from PIL import Image
+
+    image = Image.fromarray(pixels)
+    image.thumbnail((THUMBNAIL_SIDE, THUMBNAIL_SIDE), Image.Resampling.BOX)
+    if image.mode == "RGBA":
+        image = Image.alpha_composite(Image.new("RGBA", image.size, "white"), image).convert("RGB")
+    buffer = io.BytesIO()
+    image.save(buffer, "JPEG", quality=80)
+    return buffer.getvalue()
 
 
 def look_of(photo: Pixels) -> Look:

@@ -6,8 +6,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from splatax.inspection import Examination, Problem
+from splatax.inspection.looks import Look
 from splatax.io.datasets.photos import sizes_of
 from splatax.report.page import fill
+from splatax.report.pictures import encoded
 from splatax.report.plan import plan
 from splatax.runs.budget import DEFAULT_BUDGET
 from splatax.training.recipes import default
@@ -79,10 +81,8 @@ def capture_page(found: Examination, problems: Sequence[Problem]) -> str:
     rows = [
         {
             "name": name,
-            "luminance": f"{look.luminance:.2f}" if not look.unreadable else "unreadable",
-            "clipped": f"{look.clipped:.1%}",
-            "sharpness": f"{look.sharpness:,.0f}",
-            "error": f"{found.errors[name]:.2f}" if name in found.errors else "",
+            "thumbnail": encoded(look.thumbnail, "image/jpeg") if look.thumbnail else "",
+            "measures": measures_of(look, found.errors.get(name)),
             "bad": bool(look.unreadable) or name in blamed,
         }
         for name, look in found.looks.items()
@@ -96,3 +96,20 @@ def capture_page(found: Examination, problems: Sequence[Problem]) -> str:
         plan=plan(found.dataset) if found.dataset else "",
         rows=rows,
     )
+
+
+def measures_of(look: Look, error: float | None) -> list[tuple[str, str]]:
+    """Returns what was measured of a photo as labels and values.
+
+    Args:
+        look: of the photo.
+        error: its median reprojection error, pixels; None if it is not known.
+    """
+    if look.unreadable:
+        return [("cannot be read", "")]
+    measures = [
+        ("brightness", f"{look.luminance:.2f}"),
+        ("white", f"{look.clipped:.1%}"),
+        ("sharpness", f"{look.sharpness:,.0f}"),
+    ]
+    return measures if error is None else [*measures, ("reprojection error", f"{error:.2f} px")]

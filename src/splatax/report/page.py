@@ -1,20 +1,38 @@
 """The report of a run as HTML, and the filling of all templates."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import jinja2
 
 from splatax.report.curves import training_curves
 from splatax.report.pictures import data_uri, encoded, error_map
+from splatax.report.verdict import Verdict
 from splatax.runs.history import History
 from splatax.runs.results import Comparison
 
 
+@dataclass(frozen=True)
+class Account:
+    """The words and the main numbers of a report.
+
+    Attributes:
+        summary: the main results, as label and value.
+        notes: lines about the capture.
+        verdict: what is good and what is bad; None if nothing could be compared.
+        map: picture of the cameras from above, as a data URI.
+    """
+
+    summary: dict[str, str]
+    notes: Sequence[str] = ()
+    verdict: Verdict | None = None
+    map: str = ""
+
+
 def report(
     title: str,
-    summary: dict[str, str],
-    notes: Sequence[str],
+    account: Account,
     history: History,
     comparisons: Sequence[Comparison],
     animation: bytes,
@@ -23,8 +41,7 @@ def report(
 
     Args:
         title: of the run.
-        summary: the main results, as label and value.
-        notes: lines about the capture.
+        account: what the report says before the curves and the pictures.
         history: record of the run.
         comparisons: of the test views, or of training views where none are held out.
         animation: a GIF of the run; may be empty.
@@ -43,8 +60,12 @@ def report(
     return fill(
         "page.html",
         title=title,
-        summary=summary,
-        notes=notes,
+        summary=account.summary,
+        notes=account.notes,
+        verdict=account.verdict,
+        map=account.map,
+        worst=views[0] if views else None,
+        best=views[-1] if len(views) > 1 else None,
         curves=training_curves(history),
         animation=encoded(animation, "image/gif") if animation else "",
         views=views,

@@ -1,11 +1,14 @@
 """Cameras and points of a capture in one picture, from above and from the side."""
 
 import io
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from splatax.dataset import Dataset
+from splatax.report.next_photos import Spot
 from splatax.report.pictures import encoded
 
 MOST_POINTS = 20_000
@@ -13,6 +16,7 @@ MARGIN = 0.08  # of the picture's width
 SHOWN = (2, 98)  # percentiles of the points that the picture has room for, beside all cameras
 ARROW = 0.12  # of the picture's width: the length of viewing directions
 DPI = 110
+MATCHED, BAD, UNSCORED, NEXT = "#2a7a3b", "#c62828", "#9e9e9e", "#1565c0"  # colours of the map
 
 
 def plan(dataset: Dataset) -> str:
@@ -46,12 +50,68 @@ def plan(dataset: Dataset) -> str:
         panel.set_aspect("equal")
         panel.set_title(title)
         panel.legend(loc="upper right", fontsize="small")
+    return png(figure)
+
+
+def places(dataset: Dataset, good: Mapping[str, bool], spots: Sequence[Spot]) -> str:
+    """Plots from above where the cameras stand, how well they are matched, and where to take the next photos.
+
+    Args:
+        dataset: the capture.
+        good: whether the scene matches a photo well, by name, for those that have a score.
+        spots: places for the next photos.
+
+    Returns:
+        A PNG in a data URI.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure  # slow to import
+
+    positions, axes = directions(dataset)
+    chosen = np.random.default_rng(0).permutation(len(dataset.points))[:MOST_POINTS]
+    cloud, colors = dataset.points.positions[chosen], dataset.points.colors[chosen]
+    ground = upright_frame(axes)[:2]
+    next_ones = np.array([spot.position for spot in spots]).reshape(-1, 3) @ ground.T
+    flat = positions @ ground.T
+    centre, half = window(cloud @ ground.T, np.concatenate([flat, next_ones]))
+    figure = Figure(figsize=(5.6, 6), layout="constrained", dpi=DPI)
+    FigureCanvasAgg(figure)
+    panel = figure.subplots()
+    panel.scatter(
+        cloud @ ground[0], cloud @ ground[1], c=np.clip(colors, 0, 1), s=1.5, linewidths=0, alpha=0.4
+    )
+    looking = axes[:, 2] @ ground.T * half * ARROW
+    states = [good.get(view.name) for view in dataset.views]
+    for state, color, label in (
+        (None, UNSCORED, "photo"),
+        (True, MATCHED, "matched well"),
+        (False, BAD, "matched badly"),
+    ):
+        rows = np.array([each is state for each in states])
+        if rows.any():
+            panel.quiver(*flat[rows].T, *looking[rows].T, color=color, width=0.004, **QUIVER)
+            panel.scatter(flat[rows, 0], flat[rows, 1], color=color, s=22, label=label)
+    if len(next_ones):
+        panel.scatter(next_ones[:, 0], next_ones[:, 1], color=NEXT, s=170, marker="*", label="next photos")
+        for number, place in enumerate(next_ones, start=1):
+            panel.annotate(str(number), place, (6, 6), textcoords="offset points", color=NEXT, fontsize=13)
+    panel.set_xlim(centre[0] - half, centre[0] + half)
+    panel.set_ylim(centre[1] - half, centre[1] + half)
+    panel.set_aspect("equal")
+    panel.set_xticks([])
+    panel.set_yticks([])
+    figure.legend(loc="outside lower center", ncols=2)
+    return png(figure)
+
+
+def png(figure: Any) -> str:
+    """Returns a matplotlib figure as a PNG in a data URI."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png")
     return encoded(buffer.getvalue(), "image/png")
 
 
-QUIVER = {"angles": "xy", "scale_units": "xy", "scale": 1}
+QUIVER: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1}
 
 
 def directions(dataset: Dataset) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 3"]]:

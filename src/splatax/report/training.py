@@ -3,9 +3,11 @@
 import os
 from collections.abc import Mapping, Sequence
 
-from splatax.evaluation import Scores
-from splatax.report.page import report
+from splatax.evaluation import Scores, ViewScore
+from splatax.report.page import Account, report
 from splatax.report.pictures import animation
+from splatax.report.plan import places
+from splatax.report.verdict import verdict_of
 from splatax.runs.budget import duration
 from splatax.runs.finished import psnr_of
 from splatax.runs.machine import device, peak_memory
@@ -16,8 +18,19 @@ def pages(results: Results, comparisons: Sequence[Comparison]) -> Mapping[str, b
     """Returns the animation and the report of a run by the names of their files, the report last."""
     gif = animation(results.history.frames) if results.history.frames else b""
     facts = summary(results, Scores(tuple(comparison.score for comparison in comparisons)))
-    page = report(results.title, facts, notes(results), results.history, comparisons, gif)
+    verdict = verdict_of(results.dataset, comparisons, trial_of(results))
+    picture = places(results.dataset, verdict.matched, verdict.spots) if verdict else ""
+    account = Account(facts, notes(results), verdict, picture)
+    page = report(results.title, account, results.history, comparisons, gif)
     return {"progress.gif": gif, "report.html": page.encode()}
+
+
+def trial_of(results: Results) -> list[ViewScore]:
+    """Returns the scores of the photos that the trial run of this run held out; none without one."""
+    if results.judge is None or results.dataset.test:
+        return []
+    views = results.judge.metrics["test"]["views"]
+    return [ViewScore(v["name"], v["psnr"], v["ssim"], v["corrected_psnr"]) for v in views]
 
 
 def summary(results: Results, scores: Scores) -> dict[str, str]:

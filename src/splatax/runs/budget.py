@@ -24,6 +24,14 @@ GAUSSIANS_PER_STEP = 60  # of a run; see docs/results.md
 HEAVIER = 1.45  # a step of a capture than one of a procedural scene: 1.6 measured on fern, 1.4 on fox
 COMPILING = 0.7  # seconds for each size of the arrays that a scene grows through
 FEWEST_STEPS = 200  # with fewer, scenes are unusable: a run rather takes longer than asked
+PARTS = 400  # of a run, over which the cost of its steps is summed
+RECENT = (
+    5  # looks at the clock whose median is the speed: growing compiles programs, which is no lasting delay
+)
+STRIDE, STEADY = (
+    1.25,
+    0.7,
+)  # most that one look changes the number of steps by, up to this fraction of the run
 ROUND = 1_000  # Gaussians: plans that differ little share compiled programs
 SIZES = {"": 1.0, "b": 1.0, "kb": 1e3, "mb": 1e6, "gb": 1e9, "mib": 2.0**20, "gib": 2.0**30}
 UNITS = {"s": 1.0, "sec": 1.0, "min": 60.0, "m": 60.0, "h": 3600.0}
@@ -90,8 +98,8 @@ class Cost:
     base: float
     each: float  # per Gaussian
 
-    def step(self, count: int | float) -> float:
-        """Returns the seconds of a step with this many Gaussians."""
+    def step(self, count):
+        """Returns the seconds of a step with this many Gaussians, a number or an array."""
         return self.base + self.each * count
 
 
@@ -101,6 +109,19 @@ class Costs:
 
     coarse: Cost
     fine: Cost
+
+    def rest(self, done: float, first: int, most: int) -> float:
+        """Returns the mean seconds of a step, times the fraction of the run that is left.
+
+        Args:
+            done: fraction of the run of the recipe `default` that is made, in [0, 1].
+            first: Gaussians at the start.
+            most: Gaussians that the run grows to.
+        """
+        middles = done + (1 - done) * (np.arange(PARTS) + 0.5) / PARTS
+        counts = first * (max(most, first) / first) ** np.minimum(middles * GROWING, 1)
+        steps = np.where(middles < 1 / COARSE, self.coarse.step(counts), self.fine.step(counts))
+        return float(steps.mean() * (1 - done))
 
     def run(self, steps: int, first: int, most: int) -> float:
         """Returns the seconds for a run of the recipe `default` that grows to `most` Gaussians."""
@@ -192,30 +213,83 @@ class Changes:
         """Changes the number of steps by the time, if that is needed."""
 
 
+@dataclass(frozen=True)
+class Expected:
+    """Cost of a run's steps as it was planned.
+
+    Attributes:
+        costs: of steps on this machine.
+        first: Gaussians at the start.
+        most: Gaussians that the run grows to.
+    """
+
+    costs: Costs
+    first: int
+    most: int
+
+    def seconds_left(self, step: int, total: int) -> float:
+        """Returns the seconds for the rest of a run of `total` steps, after `step` of them."""
+        return total * self.costs.rest(min(step / total, 1.0), self.first, self.most)
+
+
 @dataclass
 class Clock(Changes):
     """Changes the number of steps so that a run ends in time.
 
+    The schedules of a run follow its number of steps: growth, half-size photos and the decay of the learning
+    rates take the same fractions of the steps that there is time for.
+
     Attributes:
         seconds: for the whole run.
         checked: step and seconds of the last call of `note`.
+        expected: what the steps were planned to take. None, as for a resumed run, assumes that all steps
+            take as long as the latest.
+        slowness: measured time of steps over the planned time, for each look at the clock.
     """
 
     seconds: float = 0.0
     checked: tuple[int, float] = (0, 0.0)
+    expected: Expected | None = None
+    slowness: list[float] = field(default_factory=list)
 
     def due(self, step: int, total: int) -> bool:
-        """Returns true every 5 percent of the run, once the first programs are compiled."""
-        return total / 5 <= step < total and step % max(round(total / 20), 1) == 0
+        """Returns true every 5 percent of the run; if it was not planned, after its first fifth."""
+        first = total / 5 if self.expected is None else 1
+        return first <= step < total and step % max(round(total / 20), 1) == 0
 
     def note(self, step: int, total: int, seconds: float) -> None:
-        """Plans the rest of the run by the speed since the last look.
+        """Plans the rest of the run by its speed until now.
 
-        While the scene grows, and when photos get larger, steps get slower, so until then a run is only
-        shortened, if it would be late even as fast as now.
+        Without a plan, a run that grows or whose photos get larger is only shortened, if it would be late
+        even as fast as now: its steps get slower.
         """
         (before, then), self.checked = self.checked, (step, seconds)
-        a_step = (seconds - then) / (step - before)
-        planned = max(step + max(round((self.seconds - seconds) / a_step), 1), FEWEST_STEPS)
-        if planned < total or (planned > total and before > total / COARSE):
+        if self.expected is None:
+            a_step = (seconds - then) / (step - before)
+            planned = max(step + max(round((self.seconds - seconds) / a_step), 1), FEWEST_STEPS)
+            if planned < total or (planned > total and before > total / COARSE):
+                self.made.append((step, planned))
+            return
+        if before == 0:  # this part has compiled the first program
+            return
+        modelled = self.expected.seconds_left(before, total) - self.expected.seconds_left(step, total)
+        self.slowness.append((seconds - then) / max(modelled, 1e-9))
+        planned = self._affordable(step, self.seconds - seconds)
+        if step < STEADY * total:
+            planned = round(np.clip(planned, total / STRIDE, total * STRIDE))
+        planned = max(planned, FEWEST_STEPS, step + 1)
+        if planned != total:
             self.made.append((step, planned))
+
+    def _affordable(self, step: int, left: float) -> int:
+        """Returns the most steps for which the rest of the run takes no longer than the time left."""
+        assert self.expected
+        slowness = float(np.median(self.slowness[-RECENT:]))
+        low, high = step, 10_000_000
+        while low < high:
+            middle = (low + high + 1) // 2
+            if slowness * self.expected.seconds_left(step, middle) <= left:
+                low = middle
+            else:
+                high = middle - 1
+        return low

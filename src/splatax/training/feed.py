@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Hashable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import count, islice
 
@@ -55,23 +55,25 @@ def batches(
         views: the training views, at least one.
         seed: of the order.
         start: number of batches to skip; the batches that follow do not depend on it.
-        resolution: size of the photos at each step; the first batch is for step 1.
+        resolution: size of the photos at each step; the first batch is for step 1. It may change between
+            batches: a photo that was read ahead at another size is read again.
         room: bytes of memory for decoded photos.
     """
     cache = PhotoCache(views, room)
     origin = sources(views)
     indices = islice(order(len(views), seed, start // len(views)), start % len(views), None)
     sizes = [(view.camera.width, view.camera.height) for view in views]
-    wanted = (
-        (index, resolution.divisor(step, sizes[index])) for step, index in enumerate(indices, start + 1)
-    )
     with ThreadPoolExecutor(1) as reader:
-        index, divisor = next(wanted)
-        coming = reader.submit(cache.frame, index, divisor)
-        while True:
-            frame, here = coming.result(), (origin[index], divisor)
-            index, divisor = next(wanted)
-            coming = reader.submit(cache.frame, index, divisor)
+        ahead: tuple[int, Future[tuple[Camera, Pixels, Mask | None]]] | None = None
+        index = next(indices)
+        for step in count(start + 1):
+            divisor = resolution.divisor(step, sizes[index])
+            if ahead is None or ahead[0] != divisor:
+                ahead = divisor, reader.submit(cache.frame, index, divisor)
+            frame, here = ahead[1].result(), (origin[index], divisor)
+            index = next(indices)
+            divisor = resolution.divisor(step + 1, sizes[index])
+            ahead = divisor, reader.submit(cache.frame, index, divisor)
             yield batch(*frame, *here)
 
 

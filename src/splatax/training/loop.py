@@ -18,6 +18,7 @@ from splatax.training.feed import batches
 from splatax.training.initialize import require_visible
 from splatax.training.optimizer import inherit
 from splatax.training.recipes import Recipe
+from splatax.training.schedule import Schedule
 from splatax.training.step import Faults, TrainState, train_step
 
 
@@ -102,7 +103,8 @@ def optimize(
         start: state of a run of the same capture and recipe, which continues as if it had never been
             stopped. The state is donated: it cannot be used afterwards.
         pace: called with the number of steps after each step, once that has been yielded. It returns a
-            new total number of steps for the run, or None to keep the present one.
+            new total number of steps for the run, or None to keep the present one. Density control and the
+            size of photos then follow the recipe's schedule at the same fraction of the run.
         photo_room: bytes of memory for decoded photos; those that do not fit are decoded for each step.
 
     Raises:
@@ -168,16 +170,17 @@ def _steps(
         state = replace(state, total=jnp.int32(total))
     if done >= total:
         raise ValueError(f"nothing left to do: {done} of {total} steps are made")
-    feed = batches(dataset.train, recipe.seed, done, recipe.resolution, photo_room)
+    schedule = Schedule(recipe.steps, total, recipe.resolution)
+    feed = batches(dataset.train, recipe.seed, done, schedule, photo_room)
     for step, batch in enumerate(feed, done + 1):
         state, loss = train_step(state, batch, recipe)
-        if recipe.density.due(step):
+        if refinement := schedule.refinement(step, recipe.density):
             gaussians, broken = without_broken(state.gaussians)
             refined = recipe.density.refine(
                 state.density_state,
                 gaussians,
                 count,
-                step,
+                refinement,
                 dataset.extent,
                 jax.random.fold_in(refine_key, step),
             )
@@ -192,7 +195,7 @@ def _steps(
         yield Progress(step, total, loss, count, state, recipe.low_pass)
         planned = pace(step)
         if planned is not None:
-            total = planned
+            total = schedule.total = planned
             state = replace(state, total=jnp.int32(total))
         if step >= total:
             return

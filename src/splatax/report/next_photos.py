@@ -1,0 +1,107 @@
+"""Places for the next photos: gaps between the cameras, and places whose photos are matched badly."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from splatax.cameras import rig
+from splatax.dataset import Dataset
+
+LARGE, LARGEST = 2.5, 120.0  # a gap: times the median step around the subject; degrees, beyond it is a choice
+LEAST = 20.0  # degrees that a gap has at least
+FLAT = 8.0  # degrees of elevation that cameras around a subject span, below which they are at one height
+MOST = 6  # spots
+ISOLATED = 1.4  # times the usual distance to the nearest training photo, from which a photo stands alone
+TURN = 1.0  # weight of the angle between directions, radians, beside distance as a fraction of the extent
+
+
+@dataclass(frozen=True)
+class Spot:
+    """A place for the next photos.
+
+    Attributes:
+        position: world units.
+        why: what is known about the place.
+        mend: what to do there.
+        gap: true if it lies in a gap between the cameras, false if a photo there is bad.
+    """
+
+    position: Float[np.ndarray, "3"]
+    why: str
+    mend: str
+    gap: bool
+
+
+def spots_of(dataset: Dataset, bad: Sequence[str]) -> list[Spot]:
+    """Returns at most six places for the next photos, gaps between the cameras first.
+
+    Args:
+        dataset: the capture.
+        bad: names of photos that the scene matches badly.
+    """
+    cameras = {view.name: view.camera for view in dataset.views}
+    spots = _gaps(dataset) if len(cameras) > 4 else []
+    for name in bad:
+        if name in cameras and spacing_of(dataset, name) > ISOLATED:
+            position = rig.positions_of([cameras[name]])[0]
+            why = f"{name} is matched badly, and the other photos are far from it."
+            spots.append(Spot(position, why, "Take two or three photos on each side of it.", False))
+    return spots[:MOST]
+
+
+def spacing_of(dataset: Dataset, name: str) -> float:
+    """Returns how far a photo's nearest training photo is, in multiples of the usual distance; 1 if unknown.
+
+    The distance of two photos counts the way between them, as a fraction of the extent, and the angle
+    between their directions.
+    """
+    names = [view.name for view in dataset.views]
+    if name not in names or len(dataset.train) < 3:
+        return 1.0
+    cameras = [view.camera for view in dataset.views]
+    positions, axes = rig.positions_of(cameras), rig.axes_of(cameras)
+    way = np.linalg.norm(positions[:, None] - positions, axis=2) / dataset.extent
+    turn = np.arccos(np.clip(axes @ axes.T, -1, 1))
+    apart = way + TURN * turn + np.diag(np.full(len(names), np.inf))
+    tested = {view.name for view in dataset.test}
+    trained = [i for i, each in enumerate(names) if each not in tested]
+    nearest = apart[:, trained].min(axis=1)
+    usual = float(np.median(nearest[trained]))
+    return float(nearest[names.index(name)] / usual) if usual > 0 else 1.0
+
+
+def _gaps(dataset: Dataset) -> list[Spot]:
+    """Returns the middles of gaps around the point that the cameras look at, the widest first."""
+    cameras = [view.camera for view in dataset.views]
+    focus = rig.focus_of(cameras)
+    if focus is None:
+        return []
+    up = rig.up_of(cameras)
+    offsets = rig.positions_of(cameras) - focus
+    heights = offsets @ up
+    level = offsets - heights[:, None] * up
+    radius = np.linalg.norm(level, axis=1)
+    if radius.min() < 1e-6:
+        return []
+    first = level[0] / radius[0]
+    second = np.cross(up, first)
+    azimuths = np.degrees(np.arctan2(level @ second, level @ first)) % 360
+    order = np.argsort(azimuths)
+    widths = np.diff(azimuths[order], append=azimuths[order[0]] + 360)
+    limit = max(LARGE * float(np.median(widths)), LEAST)
+    spots = []
+    for i in np.argsort(-widths, kind="stable"):
+        if not limit < widths[i] < LARGEST:
+            continue
+        middle = np.radians(azimuths[order[i]] + widths[i] / 2)
+        around = np.median(radius) * (np.cos(middle) * first + np.sin(middle) * second)
+        why = f"No photo was taken over {widths[i]:.0f} degrees of the way around the subject."
+        spots.append(Spot(focus + around + np.median(heights) * up, why, "Fill the gap with photos.", True))
+    elevations = np.degrees(np.arctan2(heights, radius))
+    if np.ptp(elevations) < FLAT and 360 - widths.max() > 90:
+        higher = level[0] + (heights[0] + np.tan(np.radians(25)) * radius[0]) * up
+        why = f"All photos were taken from one height (within {np.ptp(elevations):.0f} degrees)."
+        spots.append(Spot(focus + higher, why, "Go around once more, higher or lower.", True))
+    return spots

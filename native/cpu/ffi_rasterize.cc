@@ -3,6 +3,7 @@
 #include "rasterize.h"
 #include "roofline.h"
 #include "scratch_pool.h"
+#include "wide.h"
 
 namespace splatax {
 namespace {
@@ -77,7 +78,7 @@ ffi::Error rasterize_backward(ffi::ThreadPool threads, FloatArray means2d, Float
   checks.shape("d_means2d", d_means2d, {n, 2}).shape("d_sqrt_conics", d_sqrt_conics, {n, 3});
   checks.shape("d_opacities", d_opacities, {n}).shape("d_channels", d_channels, {n, c});
   const bool pulled = d_pull->element_count() != 0;
-  if (pulled) checks.shape("d_pull", d_pull, {n, 2}).range("channels beside pull", c, 0, GROUP);
+  if (pulled) checks.shape("d_pull", d_pull, {n, 2}).range("channels beside pull", c, 0, NARROW_WALK);
   if (checks.failed()) return checks.error("rasterize_backward");
   return guarded("rasterize_backward", [&, w = w, h = h] {
     Workers workers(threads, thread_limit);

@@ -25,7 +25,7 @@ struct Gradients {
   float* sqrt_conics;
   float* opacities;
   float* channels;
-  float* pull;  // [count 2]: sums over pixels of |dL / d means2d|; null if not requested. Up to GROUP channels
+  float* pull;  // [count 2]: sums over pixels of |dL / d means2d|; null if not requested. Up to NARROW_WALK channels
 };
 
 // Memory of a call, which is kept for the next one.

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from splatax.backends.cpu.library import Build
 from splatax.splats import Splats
 
-MAX_PULLED_CHANNELS = 4  # GROUP in native/: with more, no pixel's whole gradient is ever known
+MAX_PULLED_CHANNELS = 16  # NARROW_WALK in native/: with more, no pixel's whole gradient is ever known
 MAX_PAIRS = 2**22  # (splat, tile) pairs in a round: at most 260 MB, however large the scene
 
 

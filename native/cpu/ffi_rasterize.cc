@@ -3,6 +3,7 @@
 #include "rasterize.h"
 #include "roofline.h"
 #include "scratch_pool.h"
+#include "select.h"
 #include "wide.h"
 
 namespace splatax {
@@ -97,6 +98,28 @@ ffi::Error rasterize_backward(ffi::ThreadPool threads, FloatArray means2d, Float
   });
 }
 
+ffi::Error select_splats(ffi::ThreadPool threads, FloatArray means2d, FloatArray sqrt_conics, FloatArray depths,
+                         FloatArray extents, FloatArray opacities, FloatArray channels, Counts rows, FloatResult weights,
+                         Counts median, int64_t thread_limit, int64_t max_pairs) {
+  const SplatArrays splats{means2d, sqrt_conics, depths, extents, opacities, channels};
+  Checks checks;
+  const auto [n, c] = splats.check(checks);
+  const auto [h, w, k] = checks.sizes<3>("rows", rows);
+  check_size(checks, w, h, max_pairs);
+  checks.range("the number of splats", n, 0, MOST_SELECTABLE).range("the number selected", k, 0, MOST_SELECTED);
+  checks.shape("weights", weights, {h, w, k}).shape("median", median, {h, w});
+  if (checks.failed()) return checks.error("select");
+  return guarded("select", [&, h = h, w = w, k = k] {
+    Workers workers(threads, thread_limit);
+    auto scratch = pool.take();
+    scratch->ticket = 0;
+    select(splats.input(w, h),
+           {rows->typed_data(), weights->typed_data(), median->typed_data(), static_cast<int>(k)}, workers, *scratch,
+           max_pairs);
+    pool.give_back(std::move(scratch));
+  });
+}
+
 ffi::Error slots(ffi::ThreadPool threads, FloatArray means2d, FloatArray sqrt_conics, FloatArray depths, FloatArray extents,
                  FloatArray opacities, FloatArray channels, Counts counts, int64_t thread_limit, int64_t max_pairs,
                  int64_t width, int64_t height) {
@@ -143,6 +166,10 @@ XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_rasterize_forward, rasterize_forward,
 // -> (d_means2d, d_sqrt_conics, d_opacities, d_channels, d_pull [n 2], or [0 2] where it is not wanted)
 XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_rasterize_backward, rasterize_backward,
                               with_settings(results<5>(arrays<2>(arrays<8>(call()).Arg<Ticket>()))));
+
+// (the six of splatax_rasterize_forward) -> (rows [h w k], weights [h w k], median [h w])
+XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_select, select_splats,
+                              with_settings(results<1>(arrays<6>(call()).Ret<Ticket>()).Ret<Ticket>()));
 
 // (the six of splatax_rasterize_forward) -> counts [tiles 2]
 XLA_FFI_DEFINE_HANDLER_SYMBOL(

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from splatax import losses, projection
-from splatax.backends.protocol import Kernels
+from splatax.backends.protocol import Kernels, Selection
 from splatax.splats import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, Splats
 
 
@@ -36,6 +36,33 @@ def composite(
     # Rows are recomputed in the backward pass, so memory holds one row instead of the image.
     row = jax.checkpoint(jax.vmap(pixel, in_axes=(0, None)))
     return jax.lax.map(lambda y: row(columns, y), rows)
+
+
+def select(splats: Splats, count: int) -> Selection:
+    """Finds the splats that contribute most to each pixel, and the one that makes it half opaque.
+
+    Args:
+        splats: at least one.
+        count: how many splats to find for each pixel.
+    """
+    n = splats.means2d.shape[0]
+    visible = jnp.all(splats.extents > 0, axis=1)
+    order = jnp.argsort(jnp.where(visible, splats.depths, jnp.inf), stable=True).astype(jnp.int32)
+    means2d, sqrt_conics = splats.means2d[order], splats.sqrt_conics[order]
+    opacities = jnp.where(visible, splats.opacities, 0)[order]
+
+    def pixel(x: Float[Array, ""], y: Float[Array, ""]) -> Selection:
+        alphas = alphas_at(offsets(jnp.array([x, y]), means2d, None), sqrt_conics, opacities)
+        weights = weights_along_ray(alphas)
+        largest, places = jax.lax.top_k(jnp.pad(weights, (0, count)), count)
+        indices = jnp.where(largest > 0, order[jnp.minimum(places, n - 1)], -1)
+        drawn = jnp.cumprod(jnp.where(weights > 0, 1 - alphas, 1))
+        median = jnp.where(drawn[-1] <= 0.5, order[jnp.argmax(drawn <= 0.5)], -1)
+        return Selection(indices, largest, median)
+
+    columns = jnp.arange(splats.width, dtype=means2d.dtype) + 0.5
+    rows = jnp.arange(splats.height, dtype=means2d.dtype) + 0.5
+    return jax.lax.map(lambda y: jax.vmap(pixel, in_axes=(0, None))(columns, y), rows)
 
 
 def offsets(
@@ -79,4 +106,4 @@ def weights_along_ray(alphas: Float[Array, " n"]) -> Float[Array, " n"]:
     return jnp.where(after >= MIN_TRANSMITTANCE, before * alphas, 0)
 
 
-KERNELS = Kernels("reference", projection.project, composite, losses.photometric)
+KERNELS = Kernels("reference", projection.project, composite, select, losses.photometric)

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from splatax.backends.cpu.library import Build
+from splatax.backends.protocol import Selection
 from splatax.splats import Splats
 
 MAX_PULLED_CHANNELS = 16  # NARROW_WALK in native/: with more, no pixel's whole gradient is ever known
@@ -77,3 +78,19 @@ _composite.defvjp(_forward, _backward)
 def _inputs(splats: Splats, channels: Float[Array, "n c"]) -> list[Array]:
     shape = [splats.means2d, splats.sqrt_conics, splats.depths, splats.extents, splats.opacities]
     return [*shape, channels]
+
+
+def select(splats: Splats, count: int, build: Build, max_pairs: int) -> Selection:
+    """Finds the splats that contribute most to each pixel; see `splatax.backends.reference.select`."""
+    size = (splats.height, splats.width)
+    indices, weights, median = build.call(
+        "splatax_select",
+        [
+            jax.ShapeDtypeStruct((*size, count), jnp.int32),
+            (*size, count),
+            jax.ShapeDtypeStruct(size, jnp.int32),
+        ],
+        _inputs(splats, splats.colors),
+        max_pairs=np.int64(max_pairs),
+    )
+    return Selection(indices, weights, median)

@@ -105,7 +105,7 @@ def table_of(splats: Splats, channels: Float[Array, "n c"], boxes: Boxes) -> Flo
         splats.sqrt_conics,
         splats.opacities[:, None],
         channels,
-        jnp.ones_like(channels[:, :1]),
+        jnp.ones_like(splats.opacities[:, None]),
     ]
     return jnp.pad(jnp.concatenate(columns, axis=1)[boxes.order], ((0, 1), (0, 0)))
 

@@ -37,6 +37,7 @@ struct Scratch {
   Buffer<float> partial_sums;
   Buffer<uint8_t> flags;
   Buffer<float> derivatives;  // of `photometric`
+  std::vector<std::unique_ptr<Scratch>> threads;  // one for each thread that draws a view of a batch by itself
 };
 
 void rasterize(const Input& input, const Image& image, Workers& workers, Scratch& scratch, int64_t max_pairs);

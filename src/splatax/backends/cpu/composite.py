@@ -52,6 +52,7 @@ def _draw(
         "splatax_rasterize_forward",
         [(*size, channels.shape[1]), size, ticket_type],
         _inputs(splats, channels),
+        batches=True,
         max_pairs=np.int64(max_pairs),
         gradient_follows=np.int64(gradient_follows),
     )
@@ -65,6 +66,7 @@ def _backward(build: Build, max_pairs: int, residuals, cotangents):
         "splatax_rasterize_backward",
         [*shapes, (0, 2) if splats.pull is None else splats.pull.shape],  # empty where not asked for
         [*_inputs(splats, channels), *image, *cotangents],
+        batches=True,
         max_pairs=np.int64(max_pairs),
     )
     nothing = jax.tree.map(jnp.zeros_like, splats)
@@ -91,6 +93,7 @@ def select(splats: Splats, count: int, build: Build, max_pairs: int) -> Selectio
             jax.ShapeDtypeStruct(size, jnp.int32),
         ],
         _inputs(splats, splats.colors),
+        batches=True,
         max_pairs=np.int64(max_pairs),
     )
     return Selection(indices, weights, median)

@@ -72,7 +72,7 @@ def _project(arrays: tuple[Array, ...], camera: Float[Array, "19"], settings: Se
 def _forward(arrays: tuple[Array, ...], camera: Float[Array, "19"], settings: Settings):
     n = len(arrays[0])
     shapes = [(n, 2), (n, 3), (n,), (n, 2), (n, 3), (n,)]
-    splats = settings.build.call("splatax_project_forward", shapes, (*arrays, camera), **settings.options())
+    splats = settings.build.call("splatax_project_forward", shapes, (*arrays, camera), batches=True, **settings.options())
     return tuple(splats), (arrays, camera, splats[3])
 
 
@@ -82,7 +82,7 @@ def _backward(settings: Settings, residuals, cotangents):
     inputs = (*arrays, camera, extents, d_means2d, d_sqrt_conics, d_depths, d_colors, d_opacities)
     shapes = [array.shape for array in (*arrays, camera)]
     *d_arrays, d_camera = settings.build.call(
-        "splatax_project_backward", shapes, inputs, **settings.options()
+        "splatax_project_backward", shapes, inputs, batches=True, **settings.options()
     )
     return tuple(d_arrays), d_camera
 

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from scenes import random_splats
+from scenes import camera_at, random_gaussians, random_splats
 from splatax.backends import cpu, reference
 from splatax.backends.cpu import library
+from splatax.rendering import render
 
 pytestmark = pytest.mark.skipif(
     cpu.BEST.why_unavailable() is not None, reason=f"no native library: {cpu.BEST.why_unavailable()}"
@@ -33,8 +34,9 @@ def image_and_gradient(scene, backend=cpu.BEST, channels=None):
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3])
-def test_any_number_of_threads_gives_the_same_bits(threads):
-    channels = jnp.asarray(np.random.default_rng(1).normal(size=(600, 6)), jnp.float32)
+@pytest.mark.parametrize("width", [3, 6, 70])
+def test_any_number_of_threads_gives_the_same_bits(threads, width):
+    channels = jnp.asarray(np.random.default_rng(1).normal(size=(600, width)), jnp.float32)
     everything = image_and_gradient(SCENE, cpu.BEST, channels)
     with_some = image_and_gradient(SCENE, cpu.kernels(threads=threads), channels)
     for a, b in zip(everything, with_some, strict=True):
@@ -50,13 +52,15 @@ def test_pull_depends_neither_on_threads_nor_on_rounds(other):
 
 def test_pull_of_more_channels_than_are_drawn_at_once_is_refused():
     watched = replace(SCENE, pull=jnp.zeros_like(SCENE.means2d))
-    with pytest.raises(ValueError, match="`pull` for up to 4 channels, not for 6"):
-        cpu.BEST.composite(watched, jnp.ones((600, 6)))
+    with pytest.raises(ValueError, match="`pull` for up to 16 channels, not for 17"):
+        cpu.BEST.composite(watched, jnp.ones((600, 17)))
 
 
-def test_rounds_change_nothing_that_is_drawn():
-    at_once = image_and_gradient(SCENE)
-    in_rounds = image_and_gradient(SCENE, cpu.kernels(max_pairs=100))
+@pytest.mark.parametrize("width", [3, 21])
+def test_rounds_change_nothing_that_is_drawn(width):
+    channels = jnp.asarray(np.random.default_rng(1).normal(size=(600, width)), jnp.float32)
+    at_once = image_and_gradient(SCENE, channels=channels)
+    in_rounds = image_and_gradient(SCENE, cpu.kernels(max_pairs=100), channels)
     assert_array_equal(in_rounds[0], at_once[0])
     assert_array_equal(in_rounds[1], at_once[1])
     for a, b in zip(in_rounds, at_once, strict=True):
@@ -109,3 +113,54 @@ def test_it_is_refused_by_name_where_the_machine_cannot_run_it(monkeypatch):
 def test_an_installation_without_the_library_says_how_to_get_it(monkeypatch, tmp_path):
     monkeypatch.setattr(library, "FOLDER", tmp_path)
     assert "install a C++" in cpu.BEST.why_unavailable()
+
+
+def rates(scene, channels, backend):
+    """Derivatives of the image along seven directions, more than one walk follows."""
+    rng = np.random.default_rng(3)
+    moving = (scene.means2d, scene.sqrt_conics, scene.opacities, channels)
+    directions = [jnp.asarray(rng.normal(size=(7, *array.shape)) * 0.01, jnp.float32) for array in moving]
+
+    def image(means2d, sqrt_conics, opacities, channels):
+        moved = replace(scene, means2d=means2d, sqrt_conics=sqrt_conics, opacities=opacities)
+        return backend.composite(moved, channels)
+
+    return jax.jit(jax.vmap(lambda *along: jax.jvp(image, moving, along)[1]))(*directions)
+
+
+@pytest.mark.parametrize("width", [3, 21])
+def test_forward_mode_depends_neither_on_threads_nor_on_rounds(width):
+    channels = jnp.asarray(np.random.default_rng(1).normal(size=(600, width)), jnp.float32)
+    expected = rates(SCENE, channels, cpu.BEST)
+    for a, b in zip(rates(SCENE, channels, cpu.kernels(threads=1)), expected, strict=True):
+        assert_array_equal(a, b)
+    for a, b in zip(rates(SCENE, channels, cpu.kernels(max_pairs=100)), expected, strict=True):
+        assert_allclose(a, b, atol=2e-5 * np.abs(b).max())
+
+
+@pytest.mark.parametrize("threads", [0, 1, 2])
+def test_a_batch_gives_the_same_bits_as_its_views_one_by_one(threads):
+    scenes = [random_splats(seed, n=200) for seed in range(3)]
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *scenes)
+    together = jax.vmap(lambda scene: image_and_gradient(scene, cpu.kernels(threads=threads)))(stacked)
+    for i, scene in enumerate(scenes):
+        for a, b in zip(together, image_and_gradient(scene), strict=True):
+            assert_array_equal(a[i], b)
+
+
+def test_a_smaller_scene_joins_a_batch_after_padding_with_empty_slots():
+    large, small = random_gaussians(0, n=40, degree=1), random_gaussians(1, n=25, degree=1)
+    camera = camera_at(size=(20, 15), focal=18.0)
+    widened = jax.tree.map(lambda leaf: jnp.pad(leaf, [(0, 15), *[(0, 0)] * (leaf.ndim - 1)]), small)
+    widened = replace(widened, opacity_logits=widened.opacity_logits.at[25:].set(-jnp.inf))
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), large, widened)
+
+    def value_and_gradient(scene):
+        return jax.value_and_grad(lambda g: jnp.sum(render(g, camera, backend="cpu").rgb ** 2))(scene)
+
+    images, gradients = jax.vmap(value_and_gradient)(stacked)
+    image, gradient = value_and_gradient(small)
+    assert_allclose(images[1], image, rtol=1e-6)
+    for a, b in zip(jax.tree.leaves(gradients), jax.tree.leaves(gradient), strict=True):
+        assert_allclose(a[1, :25], b, atol=1e-6)
+        assert_array_equal(a[1, 25:], 0)

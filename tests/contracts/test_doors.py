@@ -21,7 +21,7 @@ from splatax import backends
 from splatax.backends import cpu
 from splatax.losses import Photometric
 from splatax.low_pass import Antialiasing, Dilation
-from splatax.rendering import Renderer, composite, project, rasterize, render
+from splatax.rendering import Renderer, composite, project, rasterize, render, select
 
 N, SIZE = 12, (10, 7)
 CAMERA = camera_at(size=SIZE, focal=8.0)
@@ -118,7 +118,7 @@ def test_channels_and_features_need_a_row_for_each_splat(backend, shape):
         return  # any number of channels
     values = jnp.ones(shape)
     assert_refused(lambda: composite(SPLATS, values, backend=backend))
-    assert_refused(lambda: rasterize(SPLATS, features=values, backend=backend))
+    assert_refused(lambda: rasterize(SPLATS, features={"labels": values}, backend=backend))
 
 
 def test_stacked_cameras_are_refused_with_the_way_out(backend):
@@ -237,10 +237,23 @@ def recorded_calls():
         jax.grad(lambda s: composite(s, s.colors, backend="cpu")[0].sum())(watched)
         photo = jnp.zeros((*SIZE[::-1], 3))
         jax.grad(lambda x: cpu.BEST.photometric(x, photo, 0.2))(photo + 0.5)
+        select(SPLATS, 3, backend="cpu")
+        jax.jvp(lambda c: composite(SPLATS, c, backend="cpu")[0], (SPLATS.colors,), (SPLATS.colors,))
     return calls
 
 
+def in_batch(call):
+    """The call for two views of which each has its own arrays."""
+    symbol, shapes, arrays, options = call
+    shapes = [
+        (2, *shape) if isinstance(shape, tuple) else jax.ShapeDtypeStruct((2, *shape.shape), shape.dtype)
+        for shape in shapes
+    ]
+    return symbol, shapes, [np.stack([array, array]) for array in arrays], options
+
+
 CALLS = recorded_calls() if cpu.BEST.why_unavailable() is None else []
+BATCHES = [in_batch(call) for call in CALLS if call[3].get("batches")]
 
 
 @NATIVE
@@ -250,6 +263,8 @@ def test_every_native_kernel_and_its_gradient_is_among_the_calls():
         "project_backward",
         "rasterize_forward",
         "rasterize_backward",
+        "rasterize_tangent",
+        "select",
         "photometric",
     }
 
@@ -258,7 +273,7 @@ def test_every_native_kernel_and_its_gradient_is_among_the_calls():
 @settings(max_examples=300, deadline=None, derandomize=True)
 @given(data=st.data())
 def test_cpu_handlers_refuse_what_does_not_fit(data):
-    symbol, shapes, arrays, options = data.draw(st.sampled_from(CALLS), label="call")
+    symbol, shapes, arrays, options = data.draw(st.sampled_from(CALLS + BATCHES), label="call")
     shapes, arrays = list(shapes), list(arrays)
     place = data.draw(st.integers(0, len(arrays) + len(shapes) - 1), label="place")
     if place < len(arrays):
@@ -267,7 +282,9 @@ def test_cpu_handlers_refuse_what_does_not_fit(data):
             arrays[place] = right.astype(np.int32 if right.dtype == np.float32 else np.float32)
         else:
             wrong = data.draw(wrong_shapes(right.shape))
-            if symbol == "splatax_project_forward" and wrong in {(N, k * k, 3) for k in range(1, 6)}:
+            if wrong == (1, *right.shape[1:]) and right.shape[:1] == (2,):
+                return  # shared by the views of a batch
+            if symbol == "splatax_project_forward" and wrong[-3:] in {(N, k * k, 3) for k in range(1, 6)}:
                 return  # SH of another degree
             arrays[place] = np.ones(wrong, right.dtype)
     else:

@@ -226,7 +226,7 @@ def test_double_precision_equals_the_reference_to_its_rounding(fast, x64):
     assert_same_gradients(scene, scene.colors, fast, 1e-11)
 
 
-@pytest.mark.parametrize("channels", [1, 3, 4])
+@pytest.mark.parametrize("channels", [1, 3, 4, 5, 16])
 def test_pull_equals_the_reference_and_leaves_the_other_gradients(fast, channels):
     scene = random_splats(6)
     values = jnp.asarray(np.random.default_rng(2).normal(size=(400, channels)).astype(np.float32))
@@ -249,7 +249,7 @@ def test_pull_in_double_precision_equals_the_reference_to_its_rounding(fast, x64
     assert_same_gradients(watched(scene), scene.colors, fast, 1e-11)
 
 
-@pytest.mark.parametrize("channels", [1, 4, 13])
+@pytest.mark.parametrize("channels", [1, 4, 5, 13, 16, 17, 64, 70])
 def test_any_number_of_channels(fast, channels):
     scene = random_splats(n=150)
     values = jnp.asarray(np.random.default_rng(2).normal(size=(150, channels)).astype(np.float32))

@@ -43,6 +43,8 @@ class Build:
         symbol: str,
         shapes: Sequence[tuple[int, ...] | jax.ShapeDtypeStruct],
         arrays: Sequence[Array],
+        *,
+        batches: bool = False,
         **options: np.int64 | np.float32,
     ) -> Sequence[Array]:
         """Calls a function of the library.
@@ -52,12 +54,14 @@ class Build:
             shapes: of the arrays that it returns; float32 unless they say otherwise.
             arrays: float32, but for tickets that a function has returned. The library refuses other
                 dtypes, and shapes that do not fit together.
+            batches: whether the function takes leading axes of `jax.vmap`, of length 1 for arrays that a
+                batch shares. If not, it is called once for each element.
             options: further arguments, static under `jit`.
         """
         target = register(self.instructions or best_instructions(), symbol)
         axes = varying_axes(arrays)
         results = [_result(shape, axes) for shape in shapes]
-        return jax.ffi.ffi_call(target, results, vmap_method="sequential")(
+        return jax.ffi.ffi_call(target, results, vmap_method="expand_dims" if batches else "sequential")(
             *vary_over(axes, tuple(arrays)), threads=np.int64(self.threads), **options
         )
 

@@ -9,18 +9,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from enrolled import NAMES, available
 from scenes import BLUE, GREEN, RED, at, random_splats, splats
 from splatax import backends
 from splatax.rendering import composite
 
-FAST = [name for name in backends.BACKENDS if name not in ("reference", "cpu")]  # cpu: the best of its kind
 
 
-@pytest.fixture(params=FAST)
+@pytest.fixture(params=[name for name in NAMES if name != "reference"])
 def fast(request):
-    if reason := backends.why_unavailable(request.param):
-        pytest.skip(reason)
-    return request.param
+    return available(request.param)
 
 
 def draw(scene, backend):

@@ -1,0 +1,34 @@
+"""The CUDA backend: kernels in CUDA C++ for NVIDIA GPUs (`native/cuda/` of the repository).
+
+NVRTC compiles the kernels at run time, so neither building nor installing needs the CUDA toolkit. Results do
+not depend on the order in which threads run. Single precision only. No GPU has run it yet: it is tested on the
+CPU, where the same handlers and kernels run under an emulation.
+"""
+
+from functools import partial
+
+from splatax import losses, projection
+from splatax.backends.cuda.composite import MAX_PAIRS, composite
+from splatax.backends.cuda.library import Library
+from splatax.backends.protocol import Kernels, runs_everywhere
+
+
+def kernels(
+    library: Library, name: str = "cuda", max_pairs: int = MAX_PAIRS, why_unavailable=runs_everywhere
+) -> Kernels:
+    """Returns the kernels that a library runs.
+
+    Args:
+        library: the handlers and their device.
+        name: identifies the backend.
+        max_pairs: the number of (splat, tile) pairs that are listed at a time.
+        why_unavailable: returns why they cannot run here, or None.
+    """
+    return Kernels(
+        name=name,
+        project=projection.project,
+        composite=partial(composite, library=library, max_pairs=max_pairs),
+        photometric=losses.photometric,
+        why_unavailable=why_unavailable,
+        dtypes=("float32",),
+    )

@@ -28,7 +28,7 @@ OPTIONS = (
     "-std=c++17 -fPIC -Wall -Wextra -Wno-unknown-pragmas -Wno-unused-function -U_FORTIFY_SOURCE -ffp-contract=off"
 ).split()
 HANDLERS, DRIVER = "libhandlers.so", "libdriver.so"
-MAX_PAIRS = 2**15  # enough for the scenes of tests, where each block of threads takes time
+MAX_PAIRS = 2**13  # enough for the scenes of tests, where each block of threads takes time
 
 
 def why_unavailable() -> str | None:

@@ -112,24 +112,30 @@ class Block {
     Fiber& fiber = *fibers_[i];
     fiber.thread = {i}, fiber.started = false, fiber.done = false;
     ++warps[i / WARP].barrier.running;
-    getcontext(&fiber.entry);
-    fiber.entry.uc_stack.ss_sp = fiber.stack.get();
-    fiber.entry.uc_stack.ss_size = STACK_BYTES;
-    fiber.entry.uc_link = nullptr;
-    makecontext(&fiber.entry, &Block::enter, 0);
   }
 
+  // A stack whose thread has returned runs the next thread that was not started, so a kernel without barriers
+  // never switches stacks.
   static void enter() {
     Block& block = *running_block;
-    block.body_(block.arguments_);
-    Fiber& fiber = *block.fibers_[block.current_];
-    fiber.done = true;
-    for (Barrier* barrier : {&block.warps[fiber.thread.x / WARP].barrier, &block.barrier}) {
-      --barrier->running;
-      block.open_if_full(*barrier);  // those who wait do not wait for a thread that has returned
+    for (;;) {
+      block.body_(block.arguments_);
+      block.leave();
+      if (block.barrier.running == 0) _longjmp(block.finished_, 1);
+      const int next = block.next();
+      if (block.fibers_[next]->started) block.switch_to(next);
+      block.fibers_[next]->started = true;
+      block.current_ = next;
     }
-    if (block.barrier.running == 0) _longjmp(block.finished_, 1);
-    block.switch_to(block.next());
+  }
+
+  void leave() {
+    Fiber& fiber = *fibers_[current_];
+    fiber.done = true;
+    for (Barrier* at : {&warps[fiber.thread.x / WARP].barrier, &barrier}) {
+      --at->running;
+      open_if_full(*at);  // those who wait do not wait for a thread that has returned
+    }
   }
 
   void open_if_full(Barrier& barrier) {
@@ -162,6 +168,11 @@ class Block {
     Fiber& chosen = *fibers_[fiber];
     if (chosen.started) _longjmp(chosen.resume, 1);
     chosen.started = true;
+    getcontext(&chosen.entry);
+    chosen.entry.uc_stack.ss_sp = chosen.stack.get();
+    chosen.entry.uc_stack.ss_size = STACK_BYTES;
+    chosen.entry.uc_link = nullptr;
+    makecontext(&chosen.entry, &Block::enter, 0);
     setcontext(&chosen.entry);
   }
 

@@ -81,3 +81,46 @@ struct SplatGradients {
   float* pull;  // null if not requested
   int first;    // first channel of the group whose contributions are added
 };
+
+// Rows of `Gaussians` in splatax/gaussians.py.
+struct GaussianRows {
+  const float *means, *quats, *log_scales, *opacity_logits, *sh;
+  int count, coefficients;
+};
+
+// Numbers of a camera; their gradients have the same layout. The rotation is stored row by row.
+enum CameraField { FX, FY, CX, CY, ROTATION, TRANSLATION = ROTATION + 9, POSITION = TRANSLATION + 3,
+                   CAMERA_FIELDS = POSITION + 3 };
+
+struct View {
+  const float* camera;  // [CAMERA_FIELDS]
+  int width, height;
+  float variance;    // of the low-pass filter, pixels^2
+  bool fades;        // true if the low-pass filter multiplies opacity by a factor,
+  float least_fade;  // which is at least this
+};
+
+struct ProjectedRows {
+  float *means2d, *sqrt_conics, *depths, *extents, *colors, *opacities;
+};
+
+// Cotangents of the projected rows, and the extents that were projected: zero where culled.
+struct ProjectedCotangents {
+  const float *means2d, *sqrt_conics, *depths, *extents, *colors, *opacities;
+};
+
+struct GaussianGradients {
+  float *means, *quats, *log_scales, *opacity_logits, *sh;
+  float* camera_parts;  // [block][CAMERA_FIELDS]
+};
+
+// An image and a photo, [height width channels].
+struct Pictures {
+  const float *image, *photo;
+  int width, height, channels;
+};
+
+// The loss is L1 of the pictures and their dissimilarity, each with a weight.
+struct LossWeights {
+  float absolute, similarity;
+};

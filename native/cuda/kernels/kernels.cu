@@ -3,3 +3,6 @@
 #include "blending.cuh"
 #include "gradient.cuh"
 #include "records.cuh"
+#include "photometric.cuh"
+#include "projection.cuh"
+#include "projection_gradient.cuh"

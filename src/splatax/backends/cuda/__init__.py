@@ -7,9 +7,10 @@ CPU, where the same handlers and kernels run under an emulation.
 
 from functools import partial
 
-from splatax import losses, projection
 from splatax.backends.cuda.composite import MAX_PAIRS, composite
 from splatax.backends.cuda.library import Library
+from splatax.backends.cuda.photometric import photometric
+from splatax.backends.cuda.projection import project
 from splatax.backends.protocol import Kernels, runs_everywhere
 
 
@@ -26,9 +27,9 @@ def kernels(
     """
     return Kernels(
         name=name,
-        project=projection.project,
+        project=partial(project, library=library),
         composite=partial(composite, library=library, max_pairs=max_pairs),
-        photometric=losses.photometric,
+        photometric=partial(photometric, library=library),
         why_unavailable=why_unavailable,
         dtypes=("float32",),
     )

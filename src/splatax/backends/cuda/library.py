@@ -15,6 +15,9 @@ from splatax.backends import foreign
 SYMBOLS = (
     "splatax_cuda_rasterize",
     "splatax_cuda_rasterize_gradient",
+    "splatax_cuda_project",
+    "splatax_cuda_project_gradient",
+    "splatax_cuda_photometric",
 )
 
 

@@ -15,7 +15,7 @@ import jaxlib
 
 from splatax.backends import cuda
 from splatax.backends.cuda.library import Library, check
-from splatax.backends.protocol import Kernels
+from splatax.backends.protocol import Kernels, runs_everywhere
 
 NAME = "cuda-emulated"
 NATIVE = Path(__file__).parents[1] / "native"
@@ -82,4 +82,4 @@ def prepare(handlers: ctypes.CDLL) -> None:
 def kernels(max_pairs: int = MAX_PAIRS) -> Kernels:
     """The kernels of the CUDA backend, emulated."""
     library = Library(built() / HANDLERS, "cpu", prepare)
-    return cuda.kernels(library, NAME, max_pairs)
+    return cuda.kernels(library, NAME, max_pairs, runs_everywhere)

@@ -5,19 +5,24 @@ not depend on the order in which threads run. Single precision only. No GPU has 
 CPU, where the same handlers and kernels run under an emulation.
 """
 
+from collections.abc import Callable
 from functools import partial
 
+from splatax.backends.cuda import nvidia
 from splatax.backends.cuda.composite import MAX_PAIRS, composite
 from splatax.backends.cuda.library import Library
 from splatax.backends.cuda.photometric import photometric
 from splatax.backends.cuda.projection import project
-from splatax.backends.protocol import Kernels, runs_everywhere
+from splatax.backends.protocol import Kernels
 
 
 def kernels(
-    library: Library, name: str = "cuda", max_pairs: int = MAX_PAIRS, why_unavailable=runs_everywhere
+    library: Library = nvidia.LIBRARY,
+    name: str = "cuda",
+    max_pairs: int = MAX_PAIRS,
+    why_unavailable: Callable[[], str | None] = nvidia.why_unavailable,
 ) -> Kernels:
-    """Returns the kernels that a library runs.
+    """Returns the kernels that a library runs. Settings other than the defaults are for tests.
 
     Args:
         library: the handlers and their device.
@@ -33,3 +38,6 @@ def kernels(
         why_unavailable=why_unavailable,
         dtypes=("float32",),
     )
+
+
+KERNELS = kernels()

@@ -12,6 +12,7 @@ from jaxtyping import Array
 
 from splatax.backends import foreign
 
+FOLDER = Path(__file__).parent
 SYMBOLS = (
     "splatax_cuda_rasterize",
     "splatax_cuda_rasterize_gradient",

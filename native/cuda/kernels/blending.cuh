@@ -55,7 +55,7 @@ INLINE void blend(const SplatRows& splats, const Frame& frame, const TileLists& 
 }
 
 #define BLEND(C)                                                                                           \
-  KERNEL __launch_bounds__(BLOCK_SIZE)                                                                     \
+  KERNEL __launch_bounds__(BLOCK_SIZE, RESIDENT)                                                                \
       blend_##C(SplatRows splats, Frame frame, TileLists lists, Image image) {                             \
     blend<C>(splats, frame, lists, image);                                                                 \
   }

@@ -137,7 +137,7 @@ INLINE void blend_gradient(const SplatRows& splats, const Frame& frame, const It
 }
 
 #define BLEND_GRADIENT(NAME, C, PULLED)                                                                          \
-  KERNEL __launch_bounds__(BLOCK_SIZE) NAME(SplatRows splats, Frame frame, Items items, TileLists lists,         \
+  KERNEL __launch_bounds__(BLOCK_SIZE, RESIDENT) NAME(SplatRows splats, Frame frame, Items items, TileLists lists,         \
                                             ImageGradient image, PairRecords out) {                              \
     blend_gradient<C, PULLED>(splats, frame, items, lists, image, out);                                          \
   }

@@ -3,6 +3,8 @@
 
 #include "ellipse.cuh"
 
+constexpr int RESIDENT = 4;  // blocks of a multiprocessor at a time, which leaves 64 registers for each thread
+
 // Pixel of this thread. A warp has 8 x 4 pixels, so that few of the splats that it walks miss all of them.
 struct Pixel {
   static constexpr int WIDTH = 8, HEIGHT = 4;  // of a warp's pixels

@@ -24,9 +24,16 @@ HEADERS = Path(jaxlib.__file__).parent / "include"
 COMPILER = shutil.which(os.environ.get("CXX", "g++"))
 # The emulation jumps between stacks, which fortified longjmp refuses. Products are not contracted into sums
 # that CUDA might keep apart.
-OPTIONS = (
-    "-std=c++17 -fPIC -Wall -Wextra -Wno-unknown-pragmas -Wno-unused-function -U_FORTIFY_SOURCE -ffp-contract=off"
-).split()
+OPTIONS = [
+    "-std=c++17",
+    "-fPIC",
+    "-Wall",
+    "-Wextra",
+    "-Wno-unknown-pragmas",
+    "-Wno-unused-function",
+    "-U_FORTIFY_SOURCE",
+    "-ffp-contract=off",
+]
 HANDLERS, DRIVER = "libhandlers.so", "libdriver.so"
 MAX_PAIRS = 2**13  # enough for the scenes of tests, where each block of threads takes time
 

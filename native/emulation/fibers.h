@@ -1,6 +1,8 @@
 // Runs the threads of a CUDA block on the host, as fibers of one operating system thread. They take turns: a
-// fiber runs until it waits at a barrier. SPLATAX_EMULATION_SEED, or `set_order`, shuffles the order of turns and
-// of blocks, so that a missing barrier or a race between blocks changes the results. A deadlock is reported.
+// fiber runs until it waits at a barrier. SPLATAX_EMULATION_SEED chooses the order of turns and of blocks, so that a
+// missing barrier or a race between blocks changes the results: with an even seed a warp runs until all of it
+// waits for the block, with an odd one all threads of the block take turns. Seeds other than 0 and 1 shuffle too.
+// A deadlock is reported.
 #pragma once
 
 #include <setjmp.h>
@@ -27,13 +29,13 @@ inline std::atomic<uint64_t>& order_seed() {
   return seed;
 }
 
-// 0, 1, ... in an order that depends on the seed; unchanged for seed 0.
+// 0, 1, ... in an order that depends on the seed; unchanged for seeds 0 and 1.
 inline std::vector<int> shuffled(int count, uint64_t stream) {
   std::vector<int> order(count);
   std::iota(order.begin(), order.end(), 0);
   const uint64_t seed = order_seed();
   uint64_t state = seed * 0x9E3779B97F4A7C15ull + stream;
-  for (int i = count; seed && i > 1; --i) {
+  for (int i = count; seed > 1 && i > 1; --i) {
     state = state * 6364136223846793005ull + 1442695040888963407ull;
     std::swap(order[i - 1], order[(state >> 33) % i]);
   }
@@ -57,6 +59,7 @@ struct Vote {
 
 struct WarpState {
   Barrier barrier;
+  int at_block_barrier = 0;  // lanes that wait for the block
   uint64_t slots[2][WARP];  // of even and odd exchanges: no lane is two exchanges ahead of another
 };
 
@@ -86,7 +89,7 @@ class Block {
     turns_ = shuffled(static_cast<int>(threads), number + 1);
     while (fibers_.size() < threads) fibers_.emplace_back(new Fiber);
     barrier = Barrier(), barrier.running = static_cast<int>(threads);
-    for (WarpState& warp : warps) warp.barrier = Barrier();
+    for (WarpState& warp : warps) warp.barrier = Barrier(), warp.at_block_barrier = 0;
     for (Vote& vote : votes) vote = Vote();
     for (unsigned i = 0; i < threads; ++i) prepare(i);
     for (unsigned i = 0; i < threads; ++i) fibers_[turns_[i]]->next_turn = static_cast<int>(i);
@@ -103,6 +106,7 @@ class Block {
   void wait(Barrier& at) {
     const uint64_t generation = at.generation;
     ++at.arrived;
+    if (&at == &barrier) ++warp().at_block_barrier;
     open_if_full(at);
     while (at.generation == generation) take_turns();
   }
@@ -138,19 +142,24 @@ class Block {
     }
   }
 
-  void open_if_full(Barrier& barrier) {
-    if (barrier.running == 0 || barrier.arrived < barrier.running) return;
-    barrier.arrived = 0;
-    ++barrier.generation;
+  void open_if_full(Barrier& at) {
+    if (at.running == 0 || at.arrived < at.running) return;
+    at.arrived = 0;
+    ++at.generation;
     waits_ = 0;
+    if (&at != &barrier) return;
+    for (WarpState& warp : warps) warp.at_block_barrier = 0;
   }
 
-  int next() const {
-    const int count = static_cast<int>(size.x);
+  // The fiber whose turn it is.
+  int next() {
+    const WarpState& own = warp();
+    const bool stay = order_seed() % 2 == 0 && own.at_block_barrier < own.barrier.running;
+    const int count = static_cast<int>(size.x), warp_number = current_ / WARP;
     int turn = fibers_[current_]->next_turn;
     do {
       turn = (turn + 1) % count;
-    } while (fibers_[turns_[turn]]->done);
+    } while (fibers_[turns_[turn]]->done || (stay && turns_[turn] / WARP != warp_number));
     return turns_[turn];
   }
 

@@ -1,4 +1,4 @@
-"""What is particular to the CUDA backend, on an emulated GPU: the order of threads, rounds, malformed input."""
+"""What is particular to the CUDA backend, on an emulated GPU: order of threads, rounds, malformed input."""
 
 import ctypes.util
 from dataclasses import replace
@@ -154,7 +154,7 @@ def test_arrays_of_splats_that_do_not_fit_together_are_refused_before_they_are_r
     shapes = list(SPLATS)
     shapes[wrong] = (4, *shapes[wrong][1:])
     results = [(8, 9, 3), (8, 9), jax.ShapeDtypeStruct((0,), jnp.uint32), (0,)]
-    with pytest.raises(jax.errors.JaxRuntimeError, match="splatax: rasterize: .* has shape"):
+    with pytest.raises(jax.errors.JaxRuntimeError, match=r"splatax: rasterize: .* has shape"):
         call("splatax_cuda_rasterize", results, shapes, max_pairs=np.int64(100))
 
 
@@ -170,7 +170,7 @@ def test_arrays_of_gaussians_that_do_not_fit_together_are_refused_before_they_ar
     shapes[wrong] = (4, *shapes[wrong][1:])
     options = {"width": np.int64(9), "height": np.int64(8), "fades": np.int64(0)}
     floats = {"variance": np.float32(0.3), "least_fade": np.float32(0)}
-    with pytest.raises(jax.errors.JaxRuntimeError, match="splatax: project: .* has shape"):
+    with pytest.raises(jax.errors.JaxRuntimeError, match=r"splatax: project: .* has shape"):
         call("splatax_cuda_project", PROJECTED, shapes, **options, **floats)
 
 

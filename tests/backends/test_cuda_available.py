@@ -1,4 +1,4 @@
-"""Where the CUDA backend is chosen, what it says where it cannot run, and programs for GPUs that are elsewhere."""
+"""Where the CUDA backend is chosen, what it says elsewhere, and programs for GPUs of other machines."""
 
 import re
 from dataclasses import replace
@@ -112,5 +112,7 @@ def test_a_step_is_lowered_for_cuda_on_a_machine_without_it():
 def test_a_step_is_exported_for_cuda_on_a_machine_without_it():
     arguments = (random_gaussians(n=30, degree=1), camera_at(), jnp.zeros((24, 32, 3)))
     checks = [jax.export.DisabledSafetyCheck.custom_call(symbol) for symbol in library.SYMBOLS]
-    exported = jax.export.export(jax.jit(loss_and_gradient), platforms=["cuda"], disabled_checks=checks)(*arguments)
+    exported = jax.export.export(jax.jit(loss_and_gradient), platforms=["cuda"], disabled_checks=checks)(
+        *arguments
+    )
     assert exported.platforms == ("cuda",)

@@ -12,8 +12,9 @@ CAPABILITIES = (75, 80, 86, 89, 90, 100, 120)  # Turing, Ampere, Ada, Hopper, Bl
 MOST_REGISTERS = 64
 MORE_REGISTERS = {"project_gradient": 128}  # the whole chain rule of a Gaussian, in one thread
 KERNEL = re.compile(
-    r"Function properties for (?P<name>\w+).*?(?P<stack>\d+) bytes stack frame, (?P<stores>\d+) bytes spill stores, "
-    r"(?P<loads>\d+) bytes spill loads.*?Used (?P<registers>\d+) registers",
+    r"Function properties for (?P<name>\w+).*?(?P<stack>\d+) bytes stack frame, "
+    r"(?P<stores>\d+) bytes spill stores, (?P<loads>\d+) bytes spill loads.*?"
+    r"Used (?P<registers>\d+) registers",
     re.DOTALL,
 )
 
@@ -50,7 +51,7 @@ def test_newer_gpus_get_text_that_their_driver_compiles(compiler):
 
 
 def test_what_does_not_compile_is_reported_with_the_compilers_words(compiler):
-    with pytest.raises(nvrtc.CompileError, match="identifier \"undeclared\" is undefined"):
+    with pytest.raises(nvrtc.CompileError, match='identifier "undeclared" is undefined'):
         compiler.compile({"a.cu": "int f() { return undeclared; }"}, "a.cu", ("--gpu-architecture=sm_90",))
 
 

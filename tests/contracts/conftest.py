@@ -1,7 +1,6 @@
 """The backends that contracts are tested on."""
 
 import pytest
-
 from enrolled import NAMES, available
 
 

@@ -1,7 +1,8 @@
-"""The backends that the contract suites run on: all of the registry, and the emulation of the CUDA backend."""
+"""The backends that the contract suites run on: the registry, and the emulation of the CUDA backend."""
+
+import pytest
 
 import emulated
-import pytest
 from splatax import backends
 from splatax.backends.protocol import Kernels
 

@@ -10,10 +10,10 @@ import jax
 jax.config.update("jax_num_cpu_devices", 8)
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
+from enrolled import available  # noqa: E402
 from jax.sharding import PartitionSpec as P  # noqa: E402
 from numpy.testing import assert_allclose  # noqa: E402
 
-from enrolled import available  # noqa: E402
 from scenes import camera_at, random_gaussians  # noqa: E402
 from splatax.backends.protocol import Kernels  # noqa: E402
 from splatax.rendering import render  # noqa: E402

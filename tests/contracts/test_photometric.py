@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from enrolled import NAMES, kernels
 from numpy.testing import assert_allclose, assert_array_equal
 
-from enrolled import NAMES, kernels
 from splatax import backends
 from splatax.backends import cpu
 from splatax.losses import Photometric

@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from enrolled import NAMES, available, kernels
 from numpy.testing import assert_allclose, assert_array_equal
 
-from enrolled import NAMES, available, kernels
 from scenes import camera_at, random_gaussians
 from splatax import backends
 from splatax.backends import cpu

@@ -7,13 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from enrolled import NAMES, available
 from numpy.testing import assert_allclose, assert_array_equal
 
-from enrolled import NAMES, available
 from scenes import BLUE, GREEN, RED, at, random_splats, splats
 from splatax import backends
 from splatax.rendering import composite
-
 
 
 @pytest.fixture(params=[name for name in NAMES if name != "reference"])

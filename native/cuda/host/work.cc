@@ -8,9 +8,10 @@ namespace {
 constexpr unsigned PORTABLE = 1;        // CU_MEMHOSTALLOC_PORTABLE: pinned for every GPU
 constexpr unsigned WITHOUT_TIMING = 2;  // CU_EVENT_DISABLE_TIMING
 
-// Pinned words, which are expensive to allocate and are used again.
+// Pinned words, which are expensive to allocate and are used again. Never destroyed: threads of XLA may outlive
+// what is.
 std::mutex mutex;
-std::vector<uint32_t*> spare_words;
+std::vector<uint32_t*>& spare_words = *new std::vector<uint32_t*>;
 
 uint32_t* take_word() {
   {

@@ -131,8 +131,7 @@ INLINE void blend_gradient(const SplatRows& splats, const Frame& frame, const It
         record[q] = make_float4(sums[4 * q], sums[4 * q + 1], sums[4 * q + 2], sums[4 * q + 3]);
       }
       out.written[pair] = 1;
-    }
-    __syncthreads();
+    }  // the next slice overwrites the partial sums after its barrier
   }
 }
 

@@ -22,7 +22,8 @@ BACKENDS = {  # name -> module:attribute, imported on first use
     "cpu-avx2": "cpu:AVX2",
     "cpu-baseline": "cpu:BASELINE",
 }
-PREFERENCE = {"cpu": ("cpu", "xla"), "gpu": ("cuda", "xla"), "tpu": ("xla",)}  # what "auto" tries, by platform
+# what "auto" tries, by platform
+PREFERENCE = {"cpu": ("cpu", "xla"), "gpu": ("cuda", "xla"), "tpu": ("xla",)}
 AUTO = "auto"
 
 

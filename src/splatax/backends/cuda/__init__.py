@@ -1,8 +1,8 @@
 """The CUDA backend: kernels in CUDA C++ for NVIDIA GPUs (`native/cuda/` of the repository).
 
-NVRTC compiles the kernels at run time, so neither building nor installing needs the CUDA toolkit. Results do
-not depend on the order in which threads run. Single precision only. No GPU has run it yet: it is tested on the
-CPU, where the same handlers and kernels run under an emulation.
+NVRTC compiles the kernels at run time, so neither building nor installing needs the CUDA toolkit. Results
+do not depend on the order in which threads run. Single precision only. No GPU has run it yet: it is tested on
+the CPU, where the same handlers and kernels run under an emulation.
 """
 
 from collections.abc import Callable

@@ -9,9 +9,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from splatax.backends.cuda.library import Library
+from splatax.backends.foreign import Shape
 from splatax.splats import Splats
 
-MAX_PAIRS = 2**22  # (splat, tile) pairs in a round; with the gradient 200 MB at 1080p, however large the scene
+MAX_PAIRS = (
+    2**22
+)  # (splat, tile) pairs in a round; with the gradient 200 MB at 1080p, however large the scene
 MAX_PULLED_CHANNELS = 4  # with more, no kernel ever knows the whole gradient of a pixel
 TILE, PIXELS, CHUNK = 16, 256, 128  # as in native/cuda/kernels/arguments.cuh
 
@@ -24,7 +27,7 @@ def composite(
     Raises:
         ValueError: if `pull` is asked for with more channels than the kernel blends together.
     """
-    n, c = channels.shape
+    c = channels.shape[1]
     if splats.pull is not None and c > MAX_PULLED_CHANNELS:
         raise ValueError(
             f"the CUDA rasterizer gives the gradient of `pull` for up to {MAX_PULLED_CHANNELS} "
@@ -56,7 +59,12 @@ def _draw(
 ) -> tuple[Array, ...]:
     """Returns sums, alpha, and the lists and checkpoints for the gradient, empty if none follows."""
     size = (splats.height, splats.width)
-    shapes = [(*size, channels.shape[1]), size, jax.ShapeDtypeStruct((words,), jnp.uint32), (floats,)]
+    shapes: list[Shape] = [
+        (*size, channels.shape[1]),
+        size,
+        jax.ShapeDtypeStruct((words,), jnp.uint32),
+        (floats,),
+    ]
     inputs = _inputs(splats, channels)
     return tuple(library.call("splatax_cuda_rasterize", shapes, inputs, max_pairs=np.int64(max_pairs)))
 

@@ -17,7 +17,7 @@ DRIVER = "libcuda.so.1"
 def prepare(handlers: ctypes.CDLL) -> None:
     """Gives the driver and the kernels for each kind of GPU to the handlers.
 
-    Where JAX runs on no NVIDIA GPU it does nothing: programs can be lowered for one and exported, but not run.
+    It does nothing where JAX runs on no NVIDIA GPU: programs can be lowered and exported for one, not run.
 
     Raises:
         OSError: if there is no driver, no NVRTC, or the driver does not take the kernels.
@@ -43,7 +43,11 @@ def why_unavailable() -> str | None:
     if not _runs_on_cuda():
         return f"it runs on NVIDIA GPUs, and JAX runs on {platform_version()} here"
     if not LIBRARY.path.exists():
-        reason = "it is built on Linux" if sys.platform != "linux" else "install a C++ compiler, then splatax again"
+        reason = (
+            "it is built on Linux"
+            if sys.platform != "linux"
+            else "install a C++ compiler, then splatax again"
+        )
         return f"this installation has no library for CUDA; {reason}"
     if _compiler() is None:
         return _how_to_install()

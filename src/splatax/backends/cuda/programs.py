@@ -1,7 +1,7 @@
 """The compiled kernels for a GPU, kept on disk.
 
-A file is named by a hash of everything that decides it: the sources, the compiler's options and version, and the
-kind of GPU. It starts with a hash of the rest, so a damaged file is compiled again.
+A file is named by a hash of everything that decides it: the sources, the compiler's options and version, and
+the kind of GPU. It starts with a hash of the rest, so a damaged file is compiled again.
 """
 
 import hashlib
@@ -25,7 +25,9 @@ DIGEST_BYTES = hashlib.sha256().digest_size
 def sources() -> dict[str, str]:
     """Returns the text of each file of the kernels, by name."""
     folder = INSTALLED if INSTALLED.is_dir() else IN_REPOSITORY
-    return {path.name: path.read_text() for path in sorted(folder.iterdir()) if path.suffix in (".cu", ".cuh")}
+    return {
+        path.name: path.read_text() for path in sorted(folder.iterdir()) if path.suffix in (".cu", ".cuh")
+    }
 
 
 def architecture(capability: int, known: tuple[int, ...]) -> str:
@@ -99,7 +101,7 @@ def _write(path: Path, binary: bytes) -> None:
         os.replace(partial, path)
     except OSError as error:
         warnings.warn(
-            f"compiled kernels cannot be kept in {path.parent} ({error}), so every start compiles them again. "
-            "Set XDG_CACHE_HOME to a folder that can be written.",
+            f"compiled kernels cannot be kept in {path.parent} ({error}), so every start compiles them "
+            "again. Set XDG_CACHE_HOME to a folder that can be written.",
             stacklevel=2,
         )

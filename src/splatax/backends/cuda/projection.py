@@ -64,7 +64,8 @@ def project(gaussians: Gaussians, camera: Camera, low_pass: LowPass, library: Li
     ]
     packed = jnp.concatenate([jnp.ravel(number) for number in numbers])  # as CameraField in native/
     arrays = tuple(getattr(gaussians, field) for field in FIELDS)
-    return Splats(*_project(arrays, packed, settings), camera.width, camera.height)
+    means2d, sqrt_conics, depths, extents, colors, opacities = _project(arrays, packed, settings)
+    return Splats(means2d, sqrt_conics, depths, extents, colors, opacities, camera.width, camera.height)
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(2,))

@@ -12,8 +12,8 @@ from splatax.bench.operations import operations
 from splatax.bench.scenes import procedural
 from splatax.bench.timing import interleaved, timed
 
-# Milliseconds at 1M Gaussians and 1920 x 1080, not measured: counted operations and bytes of the algorithm over
-# the peak of an H100 SXM (132 multiprocessors, 4 warp instructions a cycle at 1.755 GHz, 3.0 TB/s).
+# Milliseconds at 1M Gaussians and 1920 x 1080, not measured: counted operations and bytes of the algorithm,
+# over the peak of an H100 SXM (132 multiprocessors, 4 warp instructions a cycle at 1.755 GHz, 3.0 TB/s).
 COUNTED = {"render": 0.49, "rasterize F+B": 1.2, "training step": 2.0}
 COUNTED_AT = 1_000_000
 

@@ -1,8 +1,10 @@
 """What is particular to the CUDA backend, on an emulated GPU: order of threads, rounds, malformed input."""
 
 import ctypes.util
+import importlib.util
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -185,6 +187,18 @@ def test_a_photo_of_another_size_is_refused_before_it_is_read():
 
 
 # --- the library of users ---
+
+
+def test_the_drivers_functions_are_declared_as_in_nvidias_header(tmp_path):
+    spec = importlib.util.find_spec("nvidia")
+    folders = (
+        [Path(root) / "cuda_runtime" / "include" for root in spec.submodule_search_locations] if spec else []
+    )
+    folders = [folder for folder in folders if (folder / "cuda.h").exists()]
+    if not folders:
+        pytest.skip("cuda.h is not installed: pip install nvidia-cuda-runtime-cu12")
+    source = emulated.NATIVE / "emulation" / "declarations.cc"
+    emulated.compile([source], tmp_path / "declarations.o", "-c", "-isystem", str(folders[0]))
 
 
 @pytest.mark.skipif(not nvidia.LIBRARY.path.exists(), reason="the library for CUDA was not built")

@@ -1,5 +1,5 @@
 // What all kernels share. NVRTC compiles the kernels for GPUs, without any CUDA header; any C++17 compiler
-// compiles them for the host with native/emulation/cuda.h.
+// compiles them for the host with native/emulation/language.h.
 //
 // Rules for kernels: results do not depend on the order in which blocks or warps run, so no two threads add
 // floats to the same place.
@@ -17,7 +17,7 @@ INLINE float fast_exp2(float x) {
   return result;
 }
 #else
-#include "cuda.h"
+#include "language.h"
 #endif
 
 constexpr unsigned ALL_LANES = 0xffffffffu;

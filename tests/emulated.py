@@ -19,7 +19,7 @@ from splatax.backends.protocol import Kernels, runs_everywhere
 
 NAME = "cuda-emulated"
 NATIVE = Path(__file__).parents[1] / "native"
-FOLDERS = [NATIVE / name for name in ("cuda/kernels", "cuda/host", "common", "emulation")]
+FOLDERS = [NATIVE / name for name in ("cuda/kernels", "cuda/host", "emulation")]
 HEADERS = Path(jaxlib.__file__).parent / "include"
 COMPILER = shutil.which(os.environ.get("CXX", "g++"))
 # The emulation jumps between stacks, which fortified longjmp refuses. Products are not contracted into sums
@@ -58,6 +58,7 @@ def compile(sources: list[Path], output: Path, *options: str, kernels: Path = FO
 def built() -> Path:
     """The folder with the handlers and the driver, which are built if they are not there."""
     sources = [path for folder in FOLDERS for path in sorted(folder.iterdir())]
+    sources.append(NATIVE / "cpu" / "ffi.h")
     digest = hashlib.sha256(" ".join((*OPTIONS, jaxlib.__version__)).encode())
     for path in sources:
         digest.update(path.name.encode() + path.read_bytes())

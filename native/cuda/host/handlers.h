@@ -7,7 +7,7 @@
 #include <utility>
 #include <vector>
 
-#include "../../common/ffi.h"
+#include "../../cpu/ffi.h"
 #include "work.h"
 
 namespace splatax::cuda {

@@ -14,7 +14,12 @@ Shape = tuple[int, ...] | jax.ShapeDtypeStruct
 
 
 def call(
-    target: str, shapes: Sequence[Shape], arrays: Sequence[Array], **options: np.int64 | np.float32
+    target: str,
+    shapes: Sequence[Shape],
+    arrays: Sequence[Array],
+    *,
+    vmap_method: str = "sequential",
+    **options: np.int64 | np.float32,
 ) -> Sequence[Array]:
     """Calls a foreign function, also inside `jax.vmap` and `jax.shard_map`.
 
@@ -22,11 +27,12 @@ def call(
         target: the name under which it is registered.
         shapes: of the arrays that it returns; float32 unless they say otherwise.
         arrays: its arguments. The function checks their dtypes and shapes.
+        vmap_method: how `jax.vmap` calls it; see `jax.ffi.ffi_call`. By default once for each element.
         options: further arguments, static under `jit`.
     """
     axes = varying_axes(arrays)
     results = [_result(shape, axes) for shape in shapes]
-    return jax.ffi.ffi_call(target, results, vmap_method="sequential")(
+    return jax.ffi.ffi_call(target, results, vmap_method=vmap_method)(
         *vary_over(axes, tuple(arrays)), **options
     )
 

@@ -6,11 +6,14 @@ Splats are sorted by depth once; every pixel looks at every splat. JAX different
 grows with pixels times splats, so it is for reading and testing, not for training.
 """
 
+from dataclasses import dataclass
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from splatax import losses, projection
+from splatax.backends.linear import Dims, linear_call
 from splatax.backends.protocol import Kernels, Selection
 from splatax.splats import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, Splats
 
@@ -72,7 +75,7 @@ def offsets(
     return pixel[None, :] - means2d if pull is None else watched_offsets(pixel, means2d, pull)
 
 
-@jax.custom_vjp
+@jax.custom_jvp
 def watched_offsets(
     pixel: Float[Array, "2"], means2d: Float[Array, "n 2"], pull: Float[Array, "n 2"]
 ) -> Float[Array, "n 2"]:
@@ -80,10 +83,31 @@ def watched_offsets(
     return pixel[None, :] - means2d
 
 
-watched_offsets.defvjp(
-    lambda pixel, means2d, pull: (pixel[None, :] - means2d, None),
-    lambda _, gradient: (jnp.sum(gradient, axis=0), -gradient, jnp.abs(gradient)),
-)
+@watched_offsets.defjvp
+def _(primals, tangents):
+    found = watched_offsets(*primals)
+    return found, linear_call(WATCHED, (), tangents, (found,))[0]
+
+
+@dataclass(frozen=True)
+class Watched:
+    """The derivative of `watched_offsets`."""
+
+    def apply(self, residuals: tuple[()], tangents: tuple[Array, ...]) -> tuple[Array, ...]:
+        """Returns the tangent of the offsets; `pull` does not affect them."""
+        pixel, means2d, _ = tangents
+        return (pixel[None, :] - means2d,)
+
+    def transpose(self, residuals: tuple[()], cotangents: tuple[Array, ...]) -> tuple[Array, ...]:
+        """Returns the gradients of pixel and means, and for `pull` the absolute value of the latter."""
+        (gradient,) = cotangents
+        return jnp.sum(gradient, axis=0), -gradient, jnp.abs(gradient)
+
+    def batched(self, size: int, residuals: Dims, tangents: Dims) -> None:
+        """Returns None: the map of a batch is made by `jax.vmap`."""
+
+
+WATCHED = Watched()
 
 
 def alphas_at(

@@ -54,8 +54,8 @@ class Build:
             shapes: of the arrays that it returns; float32 unless they say otherwise.
             arrays: float32, but for tickets that a function has returned. The library refuses other
                 dtypes, and shapes that do not fit together.
-            batches: whether the function takes leading axes of `jax.vmap`, of length 1 for arrays that a batch
-                shares. If not, it is called once for each element.
+            batches: whether the function takes leading axes of `jax.vmap`, of length 1 for arrays that a
+                batch shares. If not, it is called once for each element.
             options: further arguments, static under `jit`.
         """
         target = register(self.instructions or best_instructions(), symbol)

@@ -1,9 +1,12 @@
 // XLA custom calls of the rasterizer: image, gradient, and the count of slots.
+#include <map>
+
 #include "ffi.h"
 #include "rasterize.h"
 #include "roofline.h"
 #include "scratch_pool.h"
 #include "select.h"
+#include "tangent.h"
 #include "views.h"
 #include "wide.h"
 
@@ -110,6 +113,45 @@ ffi::Error rasterize_backward(ffi::ThreadPool threads, FloatArray means2d, Float
   });
 }
 
+ffi::Error rasterize_forward_mode(ffi::ThreadPool threads, FloatArray means2d, FloatArray sqrt_conics, FloatArray depths,
+                                  FloatArray extents, FloatArray opacities, FloatArray channels, FloatArray d_means2d,
+                                  FloatArray d_sqrt_conics, FloatArray d_opacities, FloatArray d_channels, FloatResult d_sums,
+                                  FloatResult d_alpha, int64_t thread_limit, int64_t max_pairs) {
+  const SplatArrays splats{means2d, sqrt_conics, depths, extents, opacities, channels};
+  const Batch batch(d_alpha, 2);
+  Checks checks(batch);
+  const auto [n, c] = splats.check(checks);
+  const auto [h, w] = checks.sizes<2>("d_alpha", d_alpha);
+  check_size(checks, w, h, max_pairs);
+  checks.shape("d_means2d", d_means2d, {n, 2}).shape("d_sqrt_conics", d_sqrt_conics, {n, 3});
+  checks.shape("d_opacities", d_opacities, {n}).shape("d_channels", d_channels, {n, c});
+  checks.shape("d_sums", d_sums, {h, w, c}).shape("d_alpha", d_alpha, {h, w});
+  if (checks.failed()) return checks.error("rasterize_tangent");
+  return guarded("rasterize_tangent", [&, h = h, w = w] {
+    // Directions at the same splats share a walk.
+    std::map<std::array<const float*, 6>, std::vector<int>> views_at;
+    for (int view = 0; view < batch.views(); ++view) {
+      const Input at = splats.input(batch, view, w, h);
+      views_at[{at.means2d, at.sqrt_conics, at.depths, at.extents, at.opacities, at.channels}].push_back(view);
+    }
+    std::vector<std::vector<int>> groups;
+    for (const auto& [_, views] : views_at) groups.push_back(views);
+    Workers all(threads, thread_limit);
+    auto scratch = pool.take();
+    scratch->ticket = 0;
+    each_view(static_cast<int>(groups.size()), all, *scratch, [&](int group, Workers& workers, Scratch& memory) {
+      std::vector<Direction2d> directions;
+      for (const int view : groups[group]) {
+        directions.push_back({batch.of(d_means2d, view), batch.of(d_sqrt_conics, view), batch.of(d_opacities, view),
+                              batch.of(d_channels, view), batch.of(d_sums, view), batch.of(d_alpha, view)});
+      }
+      rasterize_tangent(splats.input(batch, groups[group][0], w, h), directions.data(),
+                        static_cast<int>(directions.size()), workers, memory, max_pairs);
+    });
+    pool.give_back(std::move(scratch));
+  });
+}
+
 ffi::Error select_splats(ffi::ThreadPool threads, FloatArray means2d, FloatArray sqrt_conics, FloatArray depths,
                          FloatArray extents, FloatArray opacities, FloatArray channels, Counts rows, FloatResult weights,
                          Counts median, int64_t thread_limit, int64_t max_pairs) {
@@ -183,6 +225,10 @@ XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_rasterize_forward, rasterize_forward,
 // -> (d_means2d, d_sqrt_conics, d_opacities, d_channels, d_pull [n 2], or [0 2] where it is not wanted)
 XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_rasterize_backward, rasterize_backward,
                               with_settings(results<5>(arrays<2>(arrays<8>(call()).Arg<Ticket>()))));
+
+// (the six of splatax_rasterize_forward, d_means2d, d_sqrt_conics, d_opacities, d_channels) -> (d_sums, d_alpha)
+XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_rasterize_tangent, rasterize_forward_mode,
+                              with_settings(results<2>(arrays<10>(call()))));
 
 // (the six of splatax_rasterize_forward) -> (rows [h w k], weights [h w k], median [h w])
 XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_select, select_splats,

@@ -64,7 +64,7 @@ def _derivative(build: Build, max_pairs: int, primals, drawn: tuple[Array, ...],
 
 @dataclass(frozen=True)
 class Derivative:
-    """The derivative of the native `composite`: backward native, forward by the portable kernel.
+    """The derivative of the native `composite`.
 
     Attributes:
         build, max_pairs: see `composite`.
@@ -76,8 +76,7 @@ class Derivative:
     def apply(self, residuals, tangents: tuple[Array, ...]) -> tuple[Array, ...]:
         """Returns the tangents of the image."""
         splats, channels, *_ = residuals
-        _, at_point = forward(splats, channels)
-        return DERIVATIVE.apply(at_point, tangents)
+        return _push((splats, channels), tangents[:4], self.build, self.max_pairs)
 
     def transpose(self, residuals, cotangents: tuple[Array, ...]) -> tuple[Array, ...]:
         """Returns the gradients of what the image depends on, and of `pull`."""
@@ -85,6 +84,30 @@ class Derivative:
 
     def batched(self, size: int, residuals: Dims, tangents: Dims) -> None:
         """Returns None: native calls take batches."""
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(2, 3))
+def _push(point, tangents: tuple[Array, ...], build: Build, max_pairs: int) -> tuple[Array, ...]:
+    splats, channels = point
+    size = (splats.height, splats.width)
+    return tuple(
+        build.call(
+            "splatax_rasterize_tangent",
+            [(*size, channels.shape[1]), size],
+            [*_inputs(splats, channels), *tangents],
+            batches=True,
+            max_pairs=np.int64(max_pairs),
+        )
+    )
+
+
+@_push.defjvp
+def _(build: Build, max_pairs: int, primals, tangents):
+    # Second derivatives come from the portable kernel, which JAX differentiates.
+    def push(point, directions):
+        return DERIVATIVE.apply(forward(*point)[1], directions)
+
+    return _push(*primals, build, max_pairs), jax.jvp(push, primals, tangents)[1]
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(2, 3))

@@ -13,7 +13,7 @@ LAYERS = (  # lowest first; a package stands for all its modules
     {"gaussians", "splats", "cameras", "dataset", "resampling", "transforms"},
     {"projection", "losses", "metrics", "lpips", "io"},
     {"backends"},
-    {"rendering", "trajectories"},
+    {"outputs", "rendering", "trajectories"},
     {"training", "evaluation", "editing"},
     {"demo", "bench", "reconstruction", "notebook", "web"},
     {"runs"},

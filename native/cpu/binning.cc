@@ -105,7 +105,7 @@ int append_spans(const Splat& splat, std::vector<Span>& spans) {
 }  // namespace
 
 void Binning::collect(const Input& input, Workers& workers, int64_t max_pairs) {
-  listed_ = loaded_ = NONE;
+  listed_ = NONE, loaded_ = false;
   count_ = input.count;
   channel_count_ = input.channel_count;
   width_ = input.width;
@@ -139,7 +139,7 @@ void Binning::collect(const Input& input, Workers& workers, int64_t max_pairs) {
     for (int i = begin; i < end; ++i) sorted[i] = collected[places_[i]];
   });
   rounds.assign(1, {0, visible});
-  int64_t pairs_at_most = 0;
+  pairs_at_most = 0;
   for (int i = 0; i < visible; ++i) {
     const int more = box_tiles(sorted[i]);
     if (pairs_at_most > 0 && pairs_at_most + more > max_pairs) {
@@ -151,12 +151,13 @@ void Binning::collect(const Input& input, Workers& workers, int64_t max_pairs) {
   }
 }
 
-void Binning::load_channels(const Input& input, int first, int size, Workers& workers) {
-  if (loaded_ == first) return;
-  loaded_ = first;
+void Binning::load_channels(const Input& input, Workers& workers) {
+  if (loaded_) return;
+  loaded_ = true;
+  const int size = input.channel_count;
   workers.ranges(visible, [&](int, int begin, int end) {
     for (int i = begin; i < end; ++i) {
-      const float* from = input.channels + static_cast<size_t>(splats[i].row) * input.channel_count + first;
+      const float* from = input.channels + static_cast<size_t>(splats[i].row) * size;
       for (int c = 0; c < GROUP; ++c) splats[i].channels[c] = c < size ? from[c] : 0;
     }
   });

@@ -47,8 +47,8 @@ class Binning {
   // Steps 1 and 2. Afterwards `splats` holds the `visible` splats in depth order, in at least one round.
   void collect(const Input& input, Workers& workers, int64_t max_pairs);
 
-  // Copies channels [first, first + size) of the input to the splats, unless they are already there.
-  void load_channels(const Input& input, int first, int size, Workers& workers);
+  // Copies the channels of the input, at most GROUP, to the splats, unless they are already there.
+  void load_channels(const Input& input, Workers& workers);
 
   // Step 3 for one of `rounds`, unless it was the last one that was listed. Afterwards `tile` returns
   // the tiles of the round, which have `pair_count()` pairs. The pairs of splat i have the indices from
@@ -56,6 +56,7 @@ class Binning {
   void list(int round, Workers& workers);
 
   int columns = 0, rows = 0, visible = 0;
+  int64_t pairs_at_most = 0;  // of the last round
   std::vector<Round> rounds;
   Buffer<Splat> splats;
   Buffer<int32_t> first_pair;
@@ -79,7 +80,8 @@ class Binning {
 
   void order(Workers& workers);
 
-  int listed_ = NONE, loaded_ = NONE;  // round, first channel
+  int listed_ = NONE;    // round
+  bool loaded_ = false;  // channels
   int count_ = NONE, channel_count_ = NONE, width_ = NONE, height_ = NONE;  // sizes of the input
 
   Buffer<Pair> pairs_;

@@ -8,6 +8,7 @@
 #include <initializer_list>
 #include <new>
 #include <string>
+#include <vector>
 
 #include "xla/ffi/api/ffi.h"
 
@@ -22,28 +23,93 @@ using Counts = ffi::ResultBuffer<ffi::S32>;
 constexpr int64_t LONGEST_SIDE = 1000000;  // pixels; as in splatax/shapes.py. Tiles are counted in 16 bits
 constexpr int64_t MOST_ROWS = INT32_MAX;   // rows are counted in 32 bits
 
+template <ffi::DataType dtype>
+ffi::Span<const int64_t> dimensions_of(const ffi::Buffer<dtype>& array) {
+  return array.dimensions();
+}
+template <ffi::DataType dtype>
+ffi::Span<const int64_t> dimensions_of(ffi::Result<ffi::Buffer<dtype>>& array) {
+  return array->dimensions();
+}
+
+// Leading axes of a call's arrays, one for each `jax.vmap` around it. They are as long as those of the results, or
+// 1 where all views of the batch share the array.
+class Batch {
+ public:
+  Batch() = default;
+  // Of a result that has `rank` axes of its own.
+  template <class Array>
+  Batch(Array& result, size_t rank) {
+    const auto dimensions = dimensions_of(result);
+    if (dimensions.size() > rank) sizes_.assign(dimensions.begin(), dimensions.end() - rank);
+    for (const int64_t size : sizes_) views_ *= size;
+  }
+
+  size_t rank() const { return sizes_.size(); }
+  int64_t views() const { return views_; }
+  bool fits(ffi::Span<const int64_t> dimensions, bool shared) const {
+    if (dimensions.size() < rank()) return false;
+    for (size_t i = 0; i < rank(); ++i) {
+      if (dimensions[i] != sizes_[i] && !(shared && dimensions[i] == 1)) return false;
+    }
+    return true;
+  }
+
+  // First element of an array that belongs to a view.
+  template <class Array>
+  auto* of(Array& array, int64_t view) const {
+    const auto dimensions = dimensions_of(array);
+    int64_t slice = 0, stride = 1, own = 1;
+    for (size_t i = rank(); i < dimensions.size(); ++i) own *= dimensions[i];
+    for (size_t i = rank(); i-- > 0; view /= sizes_[i]) {
+      if (dimensions[i] != 1) slice += view % sizes_[i] * stride;
+      stride *= dimensions[i];
+    }
+    return data_of(array) + slice * own;
+  }
+
+ private:
+  template <ffi::DataType dtype>
+  static auto* data_of(const ffi::Buffer<dtype>& array) {
+    return array.typed_data();
+  }
+  template <ffi::DataType dtype>
+  static auto* data_of(ffi::Result<ffi::Buffer<dtype>>& array) {
+    return array->typed_data();
+  }
+
+  std::vector<int64_t> sizes_;
+  int64_t views_ = 1;
+};
+
 // Collects errors in the arrays of a call; the first one is reported.
 class Checks {
  public:
-  // Returns the sizes of an array of this rank; reports an error and returns zeros if it has another rank.
+  Checks() = default;
+  explicit Checks(const Batch& batch) : batch_(batch) { range("the number of views", batch.views(), 0, MOST_ROWS); }
+
+  // Returns an array's own sizes, of this rank; reports an error and returns zeros if it has another rank.
   template <size_t RANK, class Array>
   std::array<int64_t, RANK> sizes(const char* name, Array& array) {
     std::array<int64_t, RANK> result{};
     const auto dimensions = dimensions_of(array);
-    if (dimensions.size() != RANK) {
-      report(std::string(name) + " has " + std::to_string(dimensions.size()) + " axes, not " + std::to_string(RANK));
+    const size_t leading = batch_.rank();
+    if (dimensions.size() != leading + RANK) {
+      report(std::string(name) + " has " + std::to_string(dimensions.size()) + " axes, not " +
+             std::to_string(leading + RANK));
     } else {
-      for (size_t i = 0; i < RANK; ++i) result[i] = dimensions[i];
+      for (size_t i = 0; i < RANK; ++i) result[i] = dimensions[leading + i];
     }
     return result;
   }
 
-  // Reports an array whose shape differs.
+  // Reports an array whose own shape differs, or whose leading axes are not those of the batch.
   template <class Array>
   Checks& shape(const char* name, Array& array, std::initializer_list<int64_t> expected) {
     const auto dimensions = dimensions_of(array);
-    const bool same = dimensions.size() == expected.size() &&
-                      std::equal(dimensions.begin(), dimensions.end(), expected.begin());
+    const size_t leading = batch_.rank();
+    const bool same = dimensions.size() == leading + expected.size() && batch_.fits(dimensions, may_be_shared(array)) &&
+                      std::equal(dimensions.begin() + leading, dimensions.end(), expected.begin());
     if (!same) report(std::string(name) + " has shape " + words(dimensions) + ", not " + words(expected));
     return *this;
   }
@@ -64,12 +130,12 @@ class Checks {
 
  private:
   template <ffi::DataType dtype>
-  static ffi::Span<const int64_t> dimensions_of(const ffi::Buffer<dtype>& array) {
-    return array.dimensions();
+  static bool may_be_shared(const ffi::Buffer<dtype>&) {
+    return true;
   }
   template <ffi::DataType dtype>
-  static ffi::Span<const int64_t> dimensions_of(ffi::Result<ffi::Buffer<dtype>>& array) {
-    return array->dimensions();
+  static bool may_be_shared(ffi::Result<ffi::Buffer<dtype>>&) {
+    return false;
   }
 
   template <class Sizes>
@@ -83,6 +149,7 @@ class Checks {
     if (finding_.empty()) finding_ = std::move(finding);
   }
 
+  Batch batch_;
   std::string finding_;
 };
 

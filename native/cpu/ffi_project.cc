@@ -23,11 +23,15 @@ struct SceneArrays {
     return {n, k};
   }
 
-  Gaussians gaussians() const {
+  Gaussians gaussians(const Batch& batch, int64_t view) const {
     const auto size = sh.dimensions();
-    return {means.typed_data(),          quats.typed_data(), log_scales.typed_data(),
-            opacity_logits.typed_data(), sh.typed_data(),    static_cast<int>(size[0]),
-            static_cast<int>(size[1])};
+    return {batch.of(means, view),
+            batch.of(quats, view),
+            batch.of(log_scales, view),
+            batch.of(opacity_logits, view),
+            batch.of(sh, view),
+            static_cast<int>(size[batch.rank()]),
+            static_cast<int>(size[batch.rank() + 1])};
   }
 };
 
@@ -40,7 +44,8 @@ ffi::Error project_forward(ffi::ThreadPool threads, FloatArray means, FloatArray
                            FloatResult depths, FloatResult extents, FloatResult colors, FloatResult opacities, int64_t thread_limit,
                            int64_t width, int64_t height, float variance, int64_t fades, float least_fade) {
   const SceneArrays scene{means, quats, log_scales, opacity_logits, sh, camera};
-  Checks checks;
+  const Batch batch(means2d, 2);
+  Checks checks(batch);
   const auto [n, k] = scene.check(checks);
   check_size(checks, width, height);
   checks.shape("means2d", means2d, {n, 2}).shape("sqrt_conics", sqrt_conics, {n, 3}).shape("depths", depths, {n});
@@ -48,12 +53,13 @@ ffi::Error project_forward(ffi::ThreadPool threads, FloatArray means, FloatArray
   if (checks.failed()) return checks.error("project_forward");
   return guarded("project_forward", [&] {
     Workers workers(threads, thread_limit);
-    const View view{camera.typed_data(), static_cast<int>(width), static_cast<int>(height),
-                    variance,            fades != 0,              least_fade};
-    project(scene.gaussians(), view,
-            {means2d->typed_data(), sqrt_conics->typed_data(), depths->typed_data(), extents->typed_data(),
-             colors->typed_data(), opacities->typed_data()},
-            workers);
+    project(batch.views(), workers, [&](int view) {
+      return ProjectedView{scene.gaussians(batch, view),
+                           {batch.of(camera, view), static_cast<int>(width), static_cast<int>(height), variance,
+                            fades != 0, least_fade},
+                           {batch.of(means2d, view), batch.of(sqrt_conics, view), batch.of(depths, view),
+                            batch.of(extents, view), batch.of(colors, view), batch.of(opacities, view)}};
+    });
   });
 }
 
@@ -64,26 +70,40 @@ ffi::Error project_backward(ffi::ThreadPool threads, FloatArray means, FloatArra
                             FloatResult d_sh, FloatResult d_camera, int64_t thread_limit, int64_t width, int64_t height,
                             float variance, int64_t fades, float least_fade) {
   const SceneArrays scene{means, quats, log_scales, opacity_logits, sh, camera};
-  Checks checks;
+  const Batch batch(d_camera, 1);
+  // The gradient of a scene that all views share is summed over them here: `means` and `d_means` have one slice.
+  const Batch scenes(d_means, 2);
+  const bool summed = batch.views() > 1 && scenes.views() == 1;
+  Checks checks(batch), scene_checks(summed ? scenes : batch);
   const auto [n, k] = scene.check(checks);
   check_size(checks, width, height);
   checks.shape("extents", extents, {n, 2}).shape("d_means2d", d_means2d, {n, 2});
   checks.shape("d_sqrt_conics", d_sqrt_conics, {n, 3}).shape("d_depths", d_depths, {n});
   checks.shape("d_colors", d_colors, {n, 3}).shape("d_opacities", d_opacities, {n});
-  checks.shape("d_means", d_means, {n, 3}).shape("d_quats", d_quats, {n, 4});
-  checks.shape("d_log_scales", d_log_scales, {n, 3}).shape("d_opacity_logits", d_opacity_logits, {n});
-  checks.shape("d_sh", d_sh, {n, k, 3}).shape("d_camera", d_camera, {CAMERA_FIELDS});
+  checks.shape("d_camera", d_camera, {CAMERA_FIELDS});
+  scene_checks.shape("d_means", d_means, {n, 3}).shape("d_quats", d_quats, {n, 4});
+  scene_checks.shape("d_log_scales", d_log_scales, {n, 3}).shape("d_opacity_logits", d_opacity_logits, {n});
+  scene_checks.shape("d_sh", d_sh, {n, k, 3});
+  if (summed) {
+    scene_checks.shape("means", means, {n, 3}).shape("quats", quats, {n, 4}).shape("log_scales", log_scales, {n, 3});
+    scene_checks.shape("opacity_logits", opacity_logits, {n}).shape("sh", sh, {n, k, 3});
+  }
   if (checks.failed()) return checks.error("project_backward");
+  if (scene_checks.failed()) return scene_checks.error("project_backward");
   return guarded("project_backward", [&] {
     Workers workers(threads, thread_limit);
-    const View view{camera.typed_data(), static_cast<int>(width), static_cast<int>(height),
-                    variance,            fades != 0,              least_fade};
-    project_gradient(scene.gaussians(), view,
-                     {d_means2d.typed_data(), d_sqrt_conics.typed_data(), d_depths.typed_data(),
-                      d_colors.typed_data(), d_opacities.typed_data(), extents.typed_data()},
-                     {d_means->typed_data(), d_quats->typed_data(), d_log_scales->typed_data(),
-                      d_opacity_logits->typed_data(), d_sh->typed_data(), d_camera->typed_data()},
-                     workers);
+    const Batch& written = summed ? scenes : batch;
+    const auto view_of = [&](int view) {
+      const int slice = summed ? 0 : view;
+      return PulledBackView{
+          scene.gaussians(batch, view),
+          {batch.of(camera, view), static_cast<int>(width), static_cast<int>(height), variance, fades != 0, least_fade},
+          {batch.of(d_means2d, view), batch.of(d_sqrt_conics, view), batch.of(d_depths, view), batch.of(d_colors, view),
+           batch.of(d_opacities, view), batch.of(extents, view)},
+          {written.of(d_means, slice), written.of(d_quats, slice), written.of(d_log_scales, slice),
+           written.of(d_opacity_logits, slice), written.of(d_sh, slice), batch.of(d_camera, view)}};
+    };
+    project_gradient(batch.views(), summed, workers, view_of);
   });
 }
 
@@ -105,12 +125,14 @@ auto with_view(Binding binding) {
 
 using namespace splatax;
 
+// Both take batches; see `Batch`.
+
 // (means [n 3], quats [n 4], log_scales [n 3], opacity_logits [n], sh [n k 3], camera as CameraField)
 // -> the six fields of Splats
 XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_project_forward, project_forward, with_view(results<6>(arrays<6>(call()))));
 
 // (the same six, extents, and the cotangents of means2d, sqrt_conics, depths, colors, opacities)
-// -> the gradients of the six
+// -> the gradients of the six; those of the scene with leading axes of 1 for their sum over the batch
 XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_project_backward, project_backward,
                               with_view(results<6>(arrays<12>(call()))));
 

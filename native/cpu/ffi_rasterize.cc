@@ -1,8 +1,14 @@
 // XLA custom calls of the rasterizer: image, gradient, and the count of slots.
+#include <map>
+
 #include "ffi.h"
 #include "rasterize.h"
 #include "roofline.h"
 #include "scratch_pool.h"
+#include "select.h"
+#include "tangent.h"
+#include "views.h"
+#include "wide.h"
 
 namespace splatax {
 namespace {
@@ -11,7 +17,7 @@ namespace {
 struct SplatArrays {
   const FloatArray &means2d, &sqrt_conics, &depths, &extents, &opacities, &channels;
 
-  // Checks them against each other; returns the numbers of splats and channels.
+  // Checks them against each other; returns the numbers of splats and channels of a view.
   std::array<int64_t, 2> check(Checks& checks) const {
     const auto [n, c] = checks.sizes<2>("channels", channels);
     checks.range("the number of splats", n, 0, MOST_ROWS).range("the number of channels", c, 0, MOST_ROWS);
@@ -20,16 +26,16 @@ struct SplatArrays {
     return {n, c};
   }
 
-  Input input(int64_t width, int64_t height) const {
+  Input input(const Batch& batch, int64_t view, int64_t width, int64_t height) const {
     const auto size = channels.dimensions();
-    return {means2d.typed_data(),
-            sqrt_conics.typed_data(),
-            depths.typed_data(),
-            extents.typed_data(),
-            opacities.typed_data(),
-            channels.typed_data(),
-            static_cast<int>(size[0]),
-            static_cast<int>(size[1]),
+    return {batch.of(means2d, view),
+            batch.of(sqrt_conics, view),
+            batch.of(depths, view),
+            batch.of(extents, view),
+            batch.of(opacities, view),
+            batch.of(channels, view),
+            static_cast<int>(size[batch.rank()]),
+            static_cast<int>(size[batch.rank() + 1]),
             static_cast<int>(width),
             static_cast<int>(height)};
   }
@@ -45,19 +51,26 @@ ffi::Error rasterize_forward(ffi::ThreadPool threads, FloatArray means2d, FloatA
                              FloatArray extents, FloatArray opacities, FloatArray channels, FloatResult sums, FloatResult alpha,
                              Counts ticket, int64_t thread_limit, int64_t max_pairs, int64_t gradient_follows) {
   const SplatArrays splats{means2d, sqrt_conics, depths, extents, opacities, channels};
-  Checks checks;
+  const Batch batch(alpha, 2);
+  Checks checks(batch);
   const auto [n, c] = splats.check(checks);
   const auto [h, w] = checks.sizes<2>("alpha", alpha);
   check_size(checks, w, h, max_pairs);
-  checks.shape("sums", sums, {h, w, c}).shape("ticket", ticket, {});
+  checks.shape("alpha", alpha, {h, w}).shape("sums", sums, {h, w, c}).shape("ticket", ticket, {});
   if (checks.failed()) return checks.error("rasterize_forward");
   return guarded("rasterize_forward", [&, w = w, h = h] {
-    Workers workers(threads, thread_limit);
+    Workers all(threads, thread_limit);
     auto scratch = pool.take();
     scratch->ticket = 0;
-    rasterize(splats.input(w, h), {sums->typed_data(), alpha->typed_data()}, workers, *scratch, max_pairs);
-    *ticket->typed_data() = scratch->ticket = pool.new_ticket();
-    scratch->expected = gradient_follows != 0;
+    each_view(batch.views(), all, *scratch, [&](int view, Workers& workers, Scratch& memory) {
+      const Image image{batch.of(sums, view), batch.of(alpha, view)};
+      rasterize(splats.input(batch, view, w, h), image, workers, memory, max_pairs);
+      *batch.of(ticket, view) = 0;
+    });
+    if (batch.views() == 1) {  // the lists of a single view are kept for its gradient
+      *ticket->typed_data() = scratch->ticket = pool.new_ticket();
+      scratch->expected = gradient_follows != 0;
+    }
     pool.give_back(std::move(scratch));
   });
 }
@@ -68,30 +81,98 @@ ffi::Error rasterize_backward(ffi::ThreadPool threads, FloatArray means2d, Float
                               FloatResult d_sqrt_conics, FloatResult d_opacities, FloatResult d_channels, FloatResult d_pull,
                               int64_t thread_limit, int64_t max_pairs) {
   const SplatArrays splats{means2d, sqrt_conics, depths, extents, opacities, channels};
-  Checks checks;
+  const Batch batch(d_channels, 2);
+  Checks checks(batch);
   const auto [n, c] = splats.check(checks);
   const auto [h, w] = checks.sizes<2>("alpha", alpha);
   check_size(checks, w, h, max_pairs);
-  checks.shape("sums", sums, {h, w, c}).shape("ticket", ticket, {});
+  checks.shape("alpha", alpha, {h, w}).shape("sums", sums, {h, w, c}).shape("ticket", ticket, {});
   checks.shape("d_sums", d_sums, {h, w, c}).shape("d_alpha", d_alpha, {h, w});
   checks.shape("d_means2d", d_means2d, {n, 2}).shape("d_sqrt_conics", d_sqrt_conics, {n, 3});
   checks.shape("d_opacities", d_opacities, {n}).shape("d_channels", d_channels, {n, c});
-  const bool pulled = d_pull->element_count() != 0;
-  if (pulled) checks.shape("d_pull", d_pull, {n, 2}).range("channels beside pull", c, 0, GROUP);
+  const auto [pulls, two] = checks.sizes<2>("d_pull", d_pull);
+  const bool pulled = pulls != 0;
+  checks.shape("d_pull", d_pull, {pulled ? n : 0, 2});
+  if (pulled) checks.range("channels beside pull", c, 0, NARROW_WALK);
   if (checks.failed()) return checks.error("rasterize_backward");
   return guarded("rasterize_backward", [&, w = w, h = h] {
-    Workers workers(threads, thread_limit);
-    const Input input = splats.input(w, h);
-    auto scratch = pool.take(*ticket.typed_data(), input);
+    Workers all(threads, thread_limit);
+    auto scratch = batch.views() == 1 ? pool.take(*ticket.typed_data(), splats.input(batch, 0, w, h)) : nullptr;
     const bool binned = scratch != nullptr;
     if (!binned) scratch = pool.take();
     scratch->ticket = 0;
     scratch->expected = false;
-    rasterize_gradient(
-        input, {sums.typed_data(), alpha.typed_data(), d_sums.typed_data(), d_alpha.typed_data()},
-        {d_means2d->typed_data(), d_sqrt_conics->typed_data(), d_opacities->typed_data(), d_channels->typed_data(),
-         pulled ? d_pull->typed_data() : nullptr},
-        workers, *scratch, binned, max_pairs);
+    each_view(batch.views(), all, *scratch, [&](int view, Workers& workers, Scratch& memory) {
+      const Cotangents cotangents{batch.of(sums, view), batch.of(alpha, view), batch.of(d_sums, view),
+                                  batch.of(d_alpha, view)};
+      const Gradients gradients{batch.of(d_means2d, view), batch.of(d_sqrt_conics, view), batch.of(d_opacities, view),
+                                batch.of(d_channels, view), pulled ? batch.of(d_pull, view) : nullptr};
+      rasterize_gradient(splats.input(batch, view, w, h), cotangents, gradients, workers, memory, binned, max_pairs);
+    });
+    pool.give_back(std::move(scratch));
+  });
+}
+
+ffi::Error rasterize_forward_mode(ffi::ThreadPool threads, FloatArray means2d, FloatArray sqrt_conics, FloatArray depths,
+                                  FloatArray extents, FloatArray opacities, FloatArray channels, FloatArray d_means2d,
+                                  FloatArray d_sqrt_conics, FloatArray d_opacities, FloatArray d_channels, FloatResult d_sums,
+                                  FloatResult d_alpha, int64_t thread_limit, int64_t max_pairs) {
+  const SplatArrays splats{means2d, sqrt_conics, depths, extents, opacities, channels};
+  const Batch batch(d_alpha, 2);
+  Checks checks(batch);
+  const auto [n, c] = splats.check(checks);
+  const auto [h, w] = checks.sizes<2>("d_alpha", d_alpha);
+  check_size(checks, w, h, max_pairs);
+  checks.shape("d_means2d", d_means2d, {n, 2}).shape("d_sqrt_conics", d_sqrt_conics, {n, 3});
+  checks.shape("d_opacities", d_opacities, {n}).shape("d_channels", d_channels, {n, c});
+  checks.shape("d_sums", d_sums, {h, w, c}).shape("d_alpha", d_alpha, {h, w});
+  if (checks.failed()) return checks.error("rasterize_tangent");
+  return guarded("rasterize_tangent", [&, h = h, w = w] {
+    // Directions at the same splats share a walk.
+    std::map<std::array<const float*, 6>, std::vector<int>> views_at;
+    for (int view = 0; view < batch.views(); ++view) {
+      const Input at = splats.input(batch, view, w, h);
+      views_at[{at.means2d, at.sqrt_conics, at.depths, at.extents, at.opacities, at.channels}].push_back(view);
+    }
+    std::vector<std::vector<int>> groups;
+    for (const auto& [_, views] : views_at) groups.push_back(views);
+    Workers all(threads, thread_limit);
+    auto scratch = pool.take();
+    scratch->ticket = 0;
+    each_view(static_cast<int>(groups.size()), all, *scratch, [&](int group, Workers& workers, Scratch& memory) {
+      std::vector<Direction2d> directions;
+      for (const int view : groups[group]) {
+        directions.push_back({batch.of(d_means2d, view), batch.of(d_sqrt_conics, view), batch.of(d_opacities, view),
+                              batch.of(d_channels, view), batch.of(d_sums, view), batch.of(d_alpha, view)});
+      }
+      rasterize_tangent(splats.input(batch, groups[group][0], w, h), directions.data(),
+                        static_cast<int>(directions.size()), workers, memory, max_pairs);
+    });
+    pool.give_back(std::move(scratch));
+  });
+}
+
+ffi::Error select_splats(ffi::ThreadPool threads, FloatArray means2d, FloatArray sqrt_conics, FloatArray depths,
+                         FloatArray extents, FloatArray opacities, FloatArray channels, Counts rows, FloatResult weights,
+                         Counts median, int64_t thread_limit, int64_t max_pairs) {
+  const SplatArrays splats{means2d, sqrt_conics, depths, extents, opacities, channels};
+  const Batch batch(median, 2);
+  Checks checks(batch);
+  const auto [n, c] = splats.check(checks);
+  const auto [h, w, k] = checks.sizes<3>("rows", rows);
+  check_size(checks, w, h, max_pairs);
+  checks.range("the number of splats", n, 0, MOST_SELECTABLE).range("the number selected", k, 0, MOST_SELECTED);
+  checks.shape("rows", rows, {h, w, k}).shape("weights", weights, {h, w, k}).shape("median", median, {h, w});
+  if (checks.failed()) return checks.error("select");
+  return guarded("select", [&, h = h, w = w, k = k] {
+    Workers all(threads, thread_limit);
+    auto scratch = pool.take();
+    scratch->ticket = 0;
+    each_view(batch.views(), all, *scratch, [&](int view, Workers& workers, Scratch& memory) {
+      const Selection selection{batch.of(rows, view), batch.of(weights, view), batch.of(median, view),
+                                static_cast<int>(k)};
+      select(splats.input(batch, view, w, h), selection, workers, memory, max_pairs);
+    });
     pool.give_back(std::move(scratch));
   });
 }
@@ -109,7 +190,7 @@ ffi::Error slots(ffi::ThreadPool threads, FloatArray means2d, FloatArray sqrt_co
     Workers workers(threads, thread_limit);
     Scratch scratch;
     auto* pairs = reinterpret_cast<int32_t(*)[2]>(counts->typed_data());
-    count_slots(splats.input(width, height), pairs, workers, scratch, max_pairs);
+    count_slots(splats.input(Batch(), 0, width, height), pairs, workers, scratch, max_pairs);
   });
 }
 
@@ -132,6 +213,8 @@ auto with_settings(Binding binding) {
 
 using namespace splatax;
 
+// All but the last two take batches; see `Batch`.
+
 // (means2d [n 2], sqrt_conics [n 3], depths [n], extents [n 2], opacities [n], channels [n c])
 // -> (sums [h w c], alpha [h w], ticket [])
 XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_rasterize_forward, rasterize_forward,
@@ -142,6 +225,14 @@ XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_rasterize_forward, rasterize_forward,
 // -> (d_means2d, d_sqrt_conics, d_opacities, d_channels, d_pull [n 2], or [0 2] where it is not wanted)
 XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_rasterize_backward, rasterize_backward,
                               with_settings(results<5>(arrays<2>(arrays<8>(call()).Arg<Ticket>()))));
+
+// (the six of splatax_rasterize_forward, d_means2d, d_sqrt_conics, d_opacities, d_channels) -> (d_sums, d_alpha)
+XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_rasterize_tangent, rasterize_forward_mode,
+                              with_settings(results<2>(arrays<10>(call()))));
+
+// (the six of splatax_rasterize_forward) -> (rows [h w k], weights [h w k], median [h w])
+XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_select, select_splats,
+                              with_settings(results<1>(arrays<6>(call()).Ret<Ticket>()).Ret<Ticket>()));
 
 // (the six of splatax_rasterize_forward) -> counts [tiles 2]
 XLA_FFI_DEFINE_HANDLER_SYMBOL(

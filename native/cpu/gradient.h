@@ -19,17 +19,26 @@ constexpr int MOMENTS = 6;           // g, g x, g y, g x^2, g x y, g y^2, about 
 constexpr int PULL = MOMENTS + GROUP;  // offset of the sums of |dL/dx|, |dL/dy|, if requested
 constexpr int PARTIALS = PULL + 2;     // floats for a pair: the moments, dL/d channels, and those
 
-// Partials of a pair: its sums, with the moments moved from the tile's centre to the splat's mean, which is
-// at (-dx, -dy) from the centre. The code uses scalars only: a vector load from freshly stored scalars
-// stalls, and so does the reverse.
-SPLATAX_INLINE void write_partials(const float* sums, float dx, float dy, float* partials) {
+// Moves moments from the tile's centre to the splat's mean, which is at (-dx, -dy) from the centre. The code uses
+// scalars only: a vector load from freshly stored scalars stalls, and so does the reverse.
+SPLATAX_INLINE void move_moments(const float* sums, float dx, float dy, float* partials) {
   const float g = sums[0], gx = sums[1] + dx * g, gy = sums[2] + dy * g;
   partials[0] = g, partials[1] = gx, partials[2] = gy;
   partials[3] = sums[3] + dx * (sums[1] + gx);
   partials[4] = sums[4] + dx * sums[2] + dy * gx;
   partials[5] = sums[5] + dy * (sums[2] + gy);
+}
+
+// Partials of a pair: its sums, with the moments about the splat's mean.
+SPLATAX_INLINE void write_partials(const float* sums, float dx, float dy, float* partials) {
+  move_moments(sums, dx, dy, partials);
   for (int k = MOMENTS; k < PARTIALS; ++k) partials[k] = sums[k];
 }
+
+// Where the sums of a pair are in its partials, after the moments; only the first `used` floats are written.
+struct Layout {
+  int used, channels, pull;
+};
 
 template <int C, bool PULLED>
 struct TileGradient {
@@ -38,8 +47,12 @@ struct TileGradient {
   alignas(64) float d_sums[C][BLOCKS][LANES];
   alignas(64) float d_alpha[BLOCKS][LANES];
 
+  static constexpr int STRIDE = PARTIALS;
+  static Layout layout(Part) { return {PARTIALS, MOMENTS, PULL}; }
+
   // Writes the partials of each pair, and sets its flag, if the splat is drawn at any pixel of the tile.
-  void accumulate(const Tile& tile, float (*partials)[PARTIALS], uint8_t* flags) {
+  void accumulate(const Input&, const Tile& tile, Part, float* all_partials, uint8_t* flags) {
+    auto* partials = reinterpret_cast<float(*)[PARTIALS]>(all_partials);
     uint32_t live = live_blocks(transmittance);
     each_chunk<C>(tile, live, [&](const Chunk& chunk, const uint64_t* touching, int first) {
       uint16_t blocks[CHUNK] = {};

@@ -20,6 +20,12 @@ class Workers {
   }
 
   int count() const { return count_; }
+  // The calling thread alone.
+  Workers alone() const {
+    Workers result = *this;
+    result.count_ = 1;
+    return result;
+  }
 
   // Calls task(i) once for each i in [0, n), in any order, and waits for all. The calling thread works
   // too, and does all the work if the pool is busy, so this cannot deadlock.

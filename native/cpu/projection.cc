@@ -48,10 +48,13 @@ void project_lanes(const Gaussians& gaussians, const View& view, const Projected
 
 }  // namespace
 
-void project(const Gaussians& gaussians, const View& view, const Projected& splats, Workers& workers) {
-  workers.each(parts_of(gaussians.count), [&](int part) {
-    each_lanes(part, gaussians.count,
-               [&](int first, int count) { project_lanes(gaussians, view, splats, first, count); });
+void project(int views, Workers& workers, const std::function<ProjectedView(int)>& view_of) {
+  if (views == 0) return;
+  const int total = view_of(0).gaussians.count, parts = parts_of(total);
+  workers.each(views * parts, [&](int task) {
+    const ProjectedView job = view_of(task / parts);
+    each_lanes(task % parts, total,
+               [&](int first, int count) { project_lanes(job.gaussians, job.view, job.splats, first, count); });
   });
 }
 

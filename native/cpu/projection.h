@@ -41,9 +41,23 @@ struct GaussianGradients {
   float *means, *quats, *log_scales, *opacity_logits, *sh, *camera;
 };
 
-void project(const Gaussians& gaussians, const View& view, const Projected& splats, Workers& workers);
+// Inputs and outputs of one view of a batch.
+struct ProjectedView {
+  Gaussians gaussians;
+  View view;
+  Projected splats;
+};
+struct PulledBackView {
+  Gaussians gaussians;
+  View view;
+  ProjectedCotangents cotangents;
+  GaussianGradients gradients;
+};
 
-void project_gradient(const Gaussians& gaussians, const View& view, const ProjectedCotangents& cotangents,
-                      const GaussianGradients& gradients, Workers& workers);
+// Projects to all views of a batch. All have the same number of Gaussians.
+void project(int views, Workers& workers, const std::function<ProjectedView(int)>& view_of);
+
+// `summed`: the views share one scene, and its gradients are summed over them.
+void project_gradient(int views, bool summed, Workers& workers, const std::function<PulledBackView(int)>& view_of);
 
 }  // namespace splatax

@@ -181,25 +181,87 @@ class PullBack {
   Mask seen;
 };
 
+// Gradients of one part of the Gaussians, summed over views in order.
+class PartSum {
+ public:
+  PartSum(int part, int total, int coefficients)
+      : first_(part * PART), rows_(std::min(PART, total - first_)), columns_{3, 4, 3, 1, 3 * coefficients} {
+    for (int field = 0; field < FIELDS; ++field) {
+      own_[field].resize(static_cast<size_t>(rows_) * columns_[field]);
+      sum_[field].resize(own_[field].size());
+    }
+  }
+
+  // Arrays to which a view writes; their row 0 would be the first Gaussian of all.
+  GaussianGradients of_one_view() {
+    const auto at = [&](int field) { return own_[field].data() - static_cast<ptrdiff_t>(first_) * columns_[field]; };
+    return {at(0), at(1), at(2), at(3), at(4), nullptr};
+  }
+  void add(int view) {
+    for (int field = 0; field < FIELDS; ++field) {
+      if (view == 0) {
+        sum_[field].swap(own_[field]);
+      } else {
+        for (size_t i = 0; i < own_[field].size(); ++i) sum_[field][i] += own_[field][i];
+      }
+    }
+  }
+  void write(const GaussianGradients& to) const {
+    float* const arrays[FIELDS] = {to.means, to.quats, to.log_scales, to.opacity_logits, to.sh};
+    for (int field = 0; field < FIELDS; ++field) {
+      std::copy(sum_[field].begin(), sum_[field].end(), arrays[field] + static_cast<ptrdiff_t>(first_) * columns_[field]);
+    }
+  }
+
+ private:
+  static constexpr int FIELDS = 5;
+  const int first_, rows_;
+  const int columns_[FIELDS];
+  std::vector<float> own_[FIELDS], sum_[FIELDS];
+};
+
 }  // namespace
 
-void project_gradient(const Gaussians& gaussians, const View& view, const ProjectedCotangents& cotangents,
-                      const GaussianGradients& gradients, Workers& workers) {
+void project_gradient(int views, bool summed, Workers& workers, const std::function<PulledBackView(int)>& view_of) {
+  if (views == 0) return;
+  const PulledBackView one = view_of(0);
+  const int total = one.gaussians.count, parts = parts_of(total);
   // The size of parts does not depend on the number of threads, so their sum does not either.
-  std::vector<double> sums(static_cast<size_t>(parts_of(gaussians.count)) * CAMERA_FIELDS, 0.0);
-  workers.each(parts_of(gaussians.count), [&](int part) {
-    const Pass pass{gaussians, view, cotangents, gradients};
-    double* total = &sums[static_cast<size_t>(part) * CAMERA_FIELDS];
+  std::vector<double> sums(static_cast<size_t>(views) * parts * CAMERA_FIELDS, 0.0);
+  const auto pull_back = [&](const Pass& pass, int view, int part) {
+    double* camera_sums = &sums[(static_cast<size_t>(view) * parts + part) * CAMERA_FIELDS];
     CameraGradient camera;
-    each_lanes(part, gaussians.count, [&](int first, int count) {
+    each_lanes(part, total, [&](int first, int count) {
       PullBack(pass, first, count).run(camera);
-      if (first % SHORT == SHORT - LANES || first + count == gaussians.count) camera.move_to(total);
+      if (first % SHORT == SHORT - LANES || first + count == total) camera.move_to(camera_sums);
     });
-  });
-  for (int field = 0; field < CAMERA_FIELDS; ++field) {
-    double total = 0;
-    for (size_t at = field; at < sums.size(); at += CAMERA_FIELDS) total += sums[at];
-    gradients.camera[field] = static_cast<float>(total);
+  };
+  if (summed) {
+    workers.each(parts, [&](int part) {
+      PartSum sum(part, total, one.gaussians.coefficients);
+      for (int view = 0; view < views; ++view) {
+        const PulledBackView job = view_of(view);
+        const GaussianGradients own = sum.of_one_view();
+        pull_back({job.gaussians, job.view, job.cotangents, own}, view, part);
+        sum.add(view);
+      }
+      sum.write(one.gradients);
+    });
+  } else {
+    workers.each(views * parts, [&](int task) {
+      const PulledBackView job = view_of(task / parts);
+      pull_back({job.gaussians, job.view, job.cotangents, job.gradients}, task / parts, task % parts);
+    });
+  }
+  for (int view = 0; view < views; ++view) {
+    const PulledBackView job = view_of(view);
+    for (int field = 0; field < CAMERA_FIELDS; ++field) {
+      double value = 0;
+      for (int part = 0; part < parts; ++part) {
+        value += sums[(static_cast<size_t>(view) * parts + part) * CAMERA_FIELDS + field];
+      }
+      job.gradients.camera[field] = static_cast<float>(value);
+    }
   }
 }
 

@@ -25,7 +25,7 @@ struct Gradients {
   float* sqrt_conics;
   float* opacities;
   float* channels;
-  float* pull;  // [count 2]: sums over pixels of |dL / d means2d|; null if not requested. Up to GROUP channels
+  float* pull;  // [count 2]: sums over pixels of |dL / d means2d|; null if not requested. Up to NARROW_WALK channels
 };
 
 // Memory of a call, which is kept for the next one.
@@ -37,6 +37,7 @@ struct Scratch {
   Buffer<float> partial_sums;
   Buffer<uint8_t> flags;
   Buffer<float> derivatives;  // of `photometric`
+  std::vector<std::unique_ptr<Scratch>> threads;  // one for each thread that draws a view of a batch by itself
 };
 
 void rasterize(const Input& input, const Image& image, Workers& workers, Scratch& scratch, int64_t max_pairs);

@@ -20,8 +20,9 @@ class ScratchPool {
     if (free_.empty() || (expected && free_.size() < KEPT)) return std::make_unique<Scratch>();
     return remove(free_.begin());
   }
-  // Returns the memory of a ticket if it still holds the lists of this input; null otherwise.
+  // Returns the memory of a ticket if it still holds the lists of this input; null otherwise, and for ticket 0.
   std::unique_ptr<Scratch> take(int32_t ticket, const Input& input) {
+    if (ticket == 0) return nullptr;
     const std::lock_guard<std::mutex> lock(mutex_);
     for (auto it = free_.begin(); it != free_.end(); ++it) {
       if ((*it)->ticket == ticket && (*it)->binning.fits(input)) return remove(it);

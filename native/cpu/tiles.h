@@ -6,6 +6,11 @@
 
 namespace splatax {
 
+// Channels [first, first + size), which are blended in one walk.
+struct Part {
+  int first, size;
+};
+
 // Lists the pairs of each round in order, and calls body(round).
 template <class Body>
 void each_round(Binning& binning, Workers& workers, const Body& body) {
@@ -53,16 +58,6 @@ void each_pixel(const Input& input, const Tile& tile, const Visit& visit) {
 inline void let_light_through(const Input& input, const Tile& tile, float (*transmittance)[LANES]) {
   for (int b = 0; b < BLOCKS; ++b) std::fill_n(transmittance[b], LANES, -1.0f);
   each_pixel(input, tile, [&](int b, int lane, size_t) { transmittance[b][lane] = 1; });
-}
-
-// Calls body(first, size) for groups of channels; at least once, for alpha.
-template <class Body>
-void each_group(int channels, const Body& body) {
-  int first = 0;
-  do {
-    body(first, std::min(GROUP, channels - first));
-    first += GROUP;
-  } while (first < channels);
 }
 
 }  // namespace splatax

@@ -23,7 +23,7 @@ HOMES = {  # public name -> module here that defines it
     "Progress": "training.loop",
     "Recipe": "training.recipes",
     "Renderer": "rendering",
-    "Rendering": "rendering",
+    "Rendering": "outputs",
     "Scores": "evaluation",
     "Splats": "splats",
     "View": "dataset",
@@ -50,6 +50,7 @@ SUBMODULES = {  # public name -> module here
     "losses": "losses",
     "lpips": "lpips",
     "metrics": "metrics",
+    "outputs": "outputs",
     "recipes": "training.recipes",
     "reconstruction": "reconstruction",
     "splits": "splits",
@@ -67,6 +68,7 @@ if TYPE_CHECKING:  # the same names, for type checkers and editors; tests/test_i
     from splatax import losses as losses
     from splatax import lpips as lpips
     from splatax import metrics as metrics
+    from splatax import outputs as outputs
     from splatax import reconstruction as reconstruction
     from splatax import splits as splits
     from splatax import training as training
@@ -92,10 +94,10 @@ if TYPE_CHECKING:  # the same names, for type checkers and editors; tests/test_i
     from splatax.low_pass import Antialiasing as Antialiasing
     from splatax.low_pass import Dilation as Dilation
     from splatax.notebook import view as view
+    from splatax.outputs import Rendering as Rendering
     from splatax.rendering import BLACK as BLACK
     from splatax.rendering import WHITE as WHITE
     from splatax.rendering import Renderer as Renderer
-    from splatax.rendering import Rendering as Rendering
     from splatax.rendering import composite as composite
     from splatax.rendering import project as project
     from splatax.rendering import rasterize as rasterize

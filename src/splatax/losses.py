@@ -67,7 +67,7 @@ class Photometric:
         return kernel(image, photo, self.ssim_weight) / jnp.maximum(coverage, 1 / mask.size)
 
 
-@jax.custom_vjp
+@jax.custom_jvp
 def ssim(image: Float[Array, "h w c"], photo: Float[Array, "h w c"]) -> Float[Array, ""]:
     """Returns the mean structural similarity, with zeros beyond the border as in the authors' code.
 
@@ -77,25 +77,25 @@ def ssim(image: Float[Array, "h w c"], photo: Float[Array, "h w c"]) -> Float[Ar
     return jnp.mean(_similarity(_moments(image, photo)))
 
 
-def _forward(image, photo):
+@ssim.defjvp
+def _(primals, tangents):
+    image, photo = primals
     moments = _moments(image, photo)
-    return jnp.mean(_similarity(moments)), (image, photo, moments)
+    return jnp.mean(_similarity(moments)), jnp.sum(_gradient(image, photo, moments) * tangents[0])
 
 
-def _backward(residuals, cotangent):
-    """Returns the gradients. The window is symmetric and zero-padded, so blurring is its own adjoint:
+def _gradient(image, photo, moments):
+    """Returns the gradient with respect to `image`.
+
+    The window is symmetric and zero-padded, so blurring is its own adjoint:
 
     dS/dx = blur(dS/d mu) + 2 x blur(dS/d x2) + y blur(dS/d xy)  for moments mu, x2, xy of blur.
     """
-    image, photo, moments = residuals
     d_moments = jax.grad(lambda m: jnp.sum(_similarity((*m, *moments[3:]))))(moments[:3])
     d_mean, d_square, d_product = blur(jnp.stack(d_moments))
     x, y = jnp.moveaxis(image, -1, 0), jnp.moveaxis(photo, -1, 0)
-    gradient = (d_mean + 2 * x * d_square + y * d_product) * (cotangent / image.size)
-    return jnp.moveaxis(gradient, 0, -1), jnp.zeros_like(photo)
-
-
-ssim.defvjp(_forward, _backward)
+    gradient = (d_mean + 2 * x * d_square + y * d_product) / image.size
+    return jnp.moveaxis(gradient, 0, -1)
 
 
 def _moments(image: Float[Array, "h w c"], photo: Float[Array, "h w c"]):

@@ -4,6 +4,7 @@ The functions here are the door of the engine. They check shapes and dtypes and 
 that kernels get nothing that is malformed.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -15,10 +16,11 @@ from jaxtyping import Array, Float
 from splatax import backends, cameras
 from splatax import gaussians as scenes
 from splatax import splats as views
-from splatax.backends.protocol import Kernels
+from splatax.backends.protocol import MOST_SELECTED, Kernels, Selection
 from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
 from splatax.low_pass import LowPass
+from splatax.outputs import STANDARD, BackgroundArray, Drawn, Output, Outputs, Rendering, Seen, resolve
 from splatax.shapes import check_arrays, check_dtypes
 from splatax.splats import Splats
 from splatax.varying import vary_together
@@ -26,28 +28,10 @@ from splatax.varying import vary_together
 BLACK = np.zeros(3, np.float32)
 WHITE = np.ones(3, np.float32)
 
-BackgroundArray = Float[Array, "3"] | Float[Array, "h w 3"]
+Features = Mapping[str, Float[Array, "n _"]]
 BackgroundLike = (
     tuple[float, float, float] | BackgroundArray | Float[np.ndarray, "3"] | Float[np.ndarray, "h w 3"]
 )
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Rendering:
-    """Rendered image of one view.
-
-    Attributes:
-        rgb: display-referred colour over the background, at least 0; may exceed 1.
-        alpha: coverage of the pixel, in [0, 1].
-        depth: mean camera z of the splats that cover the pixel, world units; 0 if none does.
-        features: extra channels, weighted like colour, without a background.
-    """
-
-    rgb: Float[Array, "h w 3"]
-    alpha: Float[Array, "h w"]
-    depth: Float[Array, "h w"]
-    features: Float[Array, "h w f"]
 
 
 @jax.tree_util.register_dataclass
@@ -69,39 +53,52 @@ class Renderer:
     backend: str | Kernels = field(default=backends.AUTO, metadata={"static": True})
 
     def __call__(
-        self, gaussians: Gaussians, camera: Camera, features: Float[Array, "n f"] | None = None
+        self,
+        gaussians: Gaussians,
+        camera: Camera,
+        outputs: Outputs = STANDARD,
+        features: Features | None = None,
     ) -> Rendering:
         """Renders a scene; see `render`."""
+        requested = resolve(outputs)
         scenes.checked(gaussians)
         kernels = backends.resolve(self.backend, _dtype(gaussians.means))
         splats = project(gaussians, camera, low_pass=self.low_pass, backend=kernels)
-        return rasterize(splats, background=self.background, features=features, backend=kernels)
+        seen = Seen(splats, gaussians, camera)
+        return _draw(seen, self.background, features or {}, requested, kernels)
 
 
 def render(
     gaussians: Gaussians,
     camera: Camera,
     *,
+    outputs: Outputs = STANDARD,
+    features: Features | None = None,
     background: BackgroundLike = BLACK,
-    features: Float[Array, "n f"] | None = None,
     low_pass: LowPass | None = None,
     backend: str | Kernels = backends.AUTO,
 ) -> Rendering:
     """Renders a scene. Differentiable in all arrays: scene, camera, background and features.
 
+    The outputs "rgb", "alpha", "depth", "distance" and the features have exact derivatives. "median_depth"
+    has the derivative of the one depth that it shows. "contributors" has none.
+
     Args:
         gaussians: the scene.
         camera: the view; its width and height are static under `jit`. For several views, use `jax.vmap`.
+        outputs: what to render: names from `splatax.outputs.OUTPUTS`, or a mapping from names to outputs of
+            your own. Outputs that are not requested are not computed.
+        features: further numbers of each Gaussian by name, such as {"labels": [n 24]}. They are blended like
+            colour, without a background, and returned under the same names.
         background: RGB seen through what transmittance remains, one colour or one for each pixel.
-        features: extra channels for each Gaussian, rendered beside colour.
         low_pass: filter, such as `Antialiasing(0.3)`; None for the one that the scene was trained with.
         backend: "auto", the name of a backend, or kernels of your own.
 
     Raises:
-        ValueError: if the shapes or dtypes of the arrays do not fit together, or the backend is unknown or
-            not available here.
+        ValueError: if the shapes or dtypes of the arrays do not fit together, an output is unknown, or the
+            backend is unknown or not available here.
     """
-    return Renderer(background, low_pass, backend)(gaussians, camera, features)
+    return Renderer(background, low_pass, backend)(gaussians, camera, outputs, features)
 
 
 def project(
@@ -145,46 +142,107 @@ def _project(gaussians: Gaussians, camera: Camera, low_pass: LowPass, kernels: K
 def rasterize(
     splats: Splats,
     *,
+    outputs: Outputs = STANDARD,
+    features: Features | None = None,
     background: BackgroundLike = BLACK,
-    features: Float[Array, "n f"] | None = None,
     backend: str | Kernels = backends.AUTO,
 ) -> Rendering:
     """Draws the 2D Gaussians of one view: the second half of `render`.
 
     Raises:
-        ValueError: as `render`.
+        ValueError: as `render`; also for the output "distance", which splats alone do not determine.
     """
+    requested = resolve(outputs)
     views.checked(splats)
-    if features is None:
-        features = jnp.zeros((splats.means2d.shape[0], 0), splats.means2d.dtype)
-    check_arrays("Splats", {"means2d": (splats.means2d, "n 2"), "features": (features, "n f")})
+    kernels = backends.resolve(backend, _dtype(splats.means2d))
+    return _draw(Seen(splats, None, None), background, features or {}, requested, kernels)
+
+
+def _draw(
+    seen: Seen,
+    background: BackgroundLike,
+    features: Features,
+    requested: tuple[tuple[str, Output], ...],
+    kernels: Kernels,
+) -> Rendering:
+    """Checks background and features, and draws them with the requested outputs."""
+    splats = seen.splats
+    named = {f"features[{name!r}]": (values, "n f") for name, values in features.items()}
+    for name, values in named.items():  # each has a width of its own
+        check_arrays("Splats", {"means2d": (splats.means2d, "n 2"), name: values})
     behind = jnp.asarray(background, splats.means2d.dtype)
     if behind.shape not in ((3,), (splats.height, splats.width, 3)):
         raise ValueError(
             f"background has shape {behind.shape}. Give one colour, (3,), or one for each pixel, "
             f"{(splats.height, splats.width, 3)}."
         )
-    return _rasterize(splats, behind, features, backends.resolve(backend, _dtype(splats.means2d)))
+    return _finish(seen, behind, dict(features), requested, kernels)
 
 
-@partial(jax.jit, static_argnames="kernels")
-def _rasterize(
-    splats: Splats,
+@partial(jax.jit, static_argnames=("requested", "kernels"))
+def _finish(
+    seen: Seen,
     background: BackgroundArray,
-    features: Float[Array, "n f"],
+    features: Features,
+    requested: tuple[tuple[str, Output], ...],
     kernels: Kernels,
 ) -> Rendering:
-    channels = {"rgb": splats.colors, "depth": splats.depths[:, None], "features": features}
-    widths = np.cumsum([channel.shape[1] for channel in channels.values()])
-    blended, alpha = composite(splats, jnp.concatenate(list(channels.values()), axis=1), backend=kernels)
-    sums = dict(zip(channels, jnp.split(blended, widths[:-1], axis=2), strict=True))
-    covered = alpha > 0
+    seen, background, features = vary_together(seen, background, features)
+    splats = seen.splats
+    channels = {("image", name): output.channels(seen) for name, output in requested if output.channels}
+    channels |= {("feature", name): values for name, values in features.items()}
+    sums: dict[tuple[str, str], Array] = {}
+    alpha = selection = None
+    if channels:
+        widths = np.cumsum([values.shape[1] for values in channels.values()])
+        blended, alpha = composite(splats, jnp.concatenate(list(channels.values()), axis=1), backend=kernels)
+        sums = dict(zip(channels, jnp.split(blended, widths[:-1], axis=2), strict=True))
+    counts = [output.selected for _, output in requested if output.selected is not None]
+    if counts:
+        selection = select(splats, max(counts), backend=kernels)
+
+    def drawn(name: str, output: Output) -> Drawn:
+        count = output.selected
+        own = None
+        if selection is not None and count is not None:
+            own = Selection(selection.indices[..., :count], selection.weights[..., :count], selection.median)
+        return Drawn(sums.get(("image", name)), alpha, own, splats, background)
+
     return Rendering(
-        rgb=over(sums["rgb"], alpha, background),
-        alpha=alpha,
-        depth=jnp.where(covered, sums["depth"][..., 0] / jnp.where(covered, alpha, 1), 0),
-        features=sums["features"],
+        images={name: output.finish(drawn(name, output)) for name, output in requested},
+        features={name: sums["feature", name] for name in features},
     )
+
+
+def select(splats: Splats, count: int, *, backend: str | Kernels = backends.AUTO) -> Selection:
+    """Finds the splats that contribute most to each pixel, and the one that makes it half opaque.
+
+    The result has no gradient.
+
+    Args:
+        splats: the 2D Gaussians of one view.
+        count: how many splats to find for each pixel, 0 to 64.
+        backend: see `render`.
+
+    Raises:
+        ValueError: if the number is out of range, the arrays do not fit together, or the backend is unknown
+            or not available here.
+    """
+    views.checked(splats)
+    if not 0 <= count <= MOST_SELECTED:
+        raise ValueError(f"count is {count}, but `select` finds 0 to {MOST_SELECTED} splats for each pixel.")
+    kernels = backends.resolve(backend, _dtype(splats.means2d))
+    size, n = (splats.height, splats.width), splats.means2d.shape[0]
+    if n == 0:
+        none = jnp.full((*size, count), -1, jnp.int32)
+        return Selection(none, none.astype(splats.means2d.dtype) * 0, jnp.full(size, -1, jnp.int32))
+    return _select(jax.lax.stop_gradient(splats), count, kernels)
+
+
+@partial(jax.jit, static_argnames=("count", "kernels"))
+def _select(splats: Splats, count: int, kernels: Kernels) -> Selection:
+    (splats,) = vary_together(splats)
+    return kernels.select(splats, count)
 
 
 def composite(
@@ -219,16 +277,6 @@ def composite(
 def _composite(splats: Splats, channels: Float[Array, "n c"], kernels: Kernels):
     splats, channels = vary_together(splats, channels)
     return kernels.composite(splats, channels)
-
-
-def over(
-    premultiplied: Float[Array, "h w 3"],
-    alpha: Float[Array, "h w"],
-    background: BackgroundArray,
-) -> Float[Array, "h w 3"]:
-    """Returns colour that is already weighted by alpha, over a background."""
-    behind = background[None, None, :] if background.ndim == 1 else background
-    return premultiplied + (1 - alpha)[..., None] * behind
 
 
 def _dtype(array: Array | np.ndarray) -> np.dtype:

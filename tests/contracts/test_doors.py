@@ -118,7 +118,7 @@ def test_channels_and_features_need_a_row_for_each_splat(backend, shape):
         return  # any number of channels
     values = jnp.ones(shape)
     assert_refused(lambda: composite(SPLATS, values, backend=backend))
-    assert_refused(lambda: rasterize(SPLATS, features=values, backend=backend))
+    assert_refused(lambda: rasterize(SPLATS, features={"labels": values}, backend=backend))
 
 
 def test_stacked_cameras_are_refused_with_the_way_out(backend):

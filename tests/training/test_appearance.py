@@ -7,7 +7,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 import splatax as sx
-from splatax.rendering import over
+from splatax.outputs import over
 from splatax.training.appearance import Exposure, NoAppearance
 from splatax.training.density import NoDensityControl
 from splatax.training.loop import optimize

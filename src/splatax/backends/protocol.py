@@ -2,9 +2,9 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
@@ -29,6 +29,35 @@ class Composite(Protocol):
         self, splats: Splats, channels: Float[Array, "n c"]
     ) -> tuple[Float[Array, "h w c"], Float[Array, "h w"]]:
         """Blends channels as `splatax.backends.reference.composite` does. There is at least one splat."""
+        ...
+
+
+MOST_SELECTED = 64  # splats at a pixel that `select` finds; as in native/cpu/select.h
+
+
+class Selection(NamedTuple):
+    """The splats that decide each pixel, as rows of `Splats`; -1 where there is none.
+
+    Attributes:
+        indices: those with the largest weights, largest first, and nearest first among equal weights.
+        weights: their weights; 0 where there is none.
+        median: the first splat, from near to far, after which transmittance is at most one half.
+    """
+
+    indices: Int[Array, "h w k"]
+    weights: Float[Array, "h w k"]
+    median: Int[Array, "h w"]
+
+
+@runtime_checkable
+class Select(Protocol):
+    """The right half of the pipeline as indices: the 2D Gaussians that decide each pixel."""
+
+    def __call__(self, splats: Splats, count: int) -> Selection:
+        """Selects as `splatax.backends.reference.select` does.
+
+        There is at least one splat, `count` is from 0 to `MOST_SELECTED`, and no gradient is asked for.
+        """
         ...
 
 
@@ -59,6 +88,7 @@ class Kernels:
         name: identifies the backend in messages and in the results of runs.
         project: the projection.
         composite: the rasterizer.
+        select: the splats that decide each pixel.
         photometric: the loss.
         why_unavailable: returns the reason why the kernels cannot run on this machine, or None if they can.
         dtypes: the names of the dtypes that all of the kernels compute in.
@@ -67,6 +97,7 @@ class Kernels:
     name: str
     project: Project
     composite: Composite
+    select: Select
     photometric: Photometric
     why_unavailable: Callable[[], str | None] = runs_everywhere
     dtypes: tuple[str, ...] = ("float32", "float64")

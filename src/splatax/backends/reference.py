@@ -6,12 +6,15 @@ Splats are sorted by depth once; every pixel looks at every splat. JAX different
 grows with pixels times splats, so it is for reading and testing, not for training.
 """
 
+from dataclasses import dataclass
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from splatax import losses, projection
-from splatax.backends.protocol import Kernels
+from splatax.backends.linear import Dims, linear_call
+from splatax.backends.protocol import Kernels, Selection
 from splatax.splats import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, Splats
 
 
@@ -38,6 +41,33 @@ def composite(
     return jax.lax.map(lambda y: row(columns, y), rows)
 
 
+def select(splats: Splats, count: int) -> Selection:
+    """Finds the splats that contribute most to each pixel, and the one that makes it half opaque.
+
+    Args:
+        splats: at least one.
+        count: how many splats to find for each pixel.
+    """
+    n = splats.means2d.shape[0]
+    visible = jnp.all(splats.extents > 0, axis=1)
+    order = jnp.argsort(jnp.where(visible, splats.depths, jnp.inf), stable=True).astype(jnp.int32)
+    means2d, sqrt_conics = splats.means2d[order], splats.sqrt_conics[order]
+    opacities = jnp.where(visible, splats.opacities, 0)[order]
+
+    def pixel(x: Float[Array, ""], y: Float[Array, ""]) -> Selection:
+        alphas = alphas_at(offsets(jnp.array([x, y]), means2d, None), sqrt_conics, opacities)
+        weights = weights_along_ray(alphas)
+        largest, places = jax.lax.top_k(jnp.pad(weights, (0, count)), count)
+        indices = jnp.where(largest > 0, order[jnp.minimum(places, n - 1)], -1)
+        drawn = jnp.cumprod(jnp.where(weights > 0, 1 - alphas, 1))
+        median = jnp.where(drawn[-1] <= 0.5, order[jnp.argmax(drawn <= 0.5)], -1)
+        return Selection(indices, largest, median)
+
+    columns = jnp.arange(splats.width, dtype=means2d.dtype) + 0.5
+    rows = jnp.arange(splats.height, dtype=means2d.dtype) + 0.5
+    return jax.lax.map(lambda y: jax.vmap(pixel, in_axes=(0, None))(columns, y), rows)
+
+
 def offsets(
     pixel: Float[Array, "2"], means2d: Float[Array, "n 2"], pull: Float[Array, "n 2"] | None
 ) -> Float[Array, "n 2"]:
@@ -45,7 +75,7 @@ def offsets(
     return pixel[None, :] - means2d if pull is None else watched_offsets(pixel, means2d, pull)
 
 
-@jax.custom_vjp
+@jax.custom_jvp
 def watched_offsets(
     pixel: Float[Array, "2"], means2d: Float[Array, "n 2"], pull: Float[Array, "n 2"]
 ) -> Float[Array, "n 2"]:
@@ -53,10 +83,31 @@ def watched_offsets(
     return pixel[None, :] - means2d
 
 
-watched_offsets.defvjp(
-    lambda pixel, means2d, pull: (pixel[None, :] - means2d, None),
-    lambda _, gradient: (jnp.sum(gradient, axis=0), -gradient, jnp.abs(gradient)),
-)
+@watched_offsets.defjvp
+def _(primals, tangents):
+    found = watched_offsets(*primals)
+    return found, linear_call(WATCHED, (), tangents, (found,))[0]
+
+
+@dataclass(frozen=True)
+class Watched:
+    """The derivative of `watched_offsets`."""
+
+    def apply(self, residuals: tuple[()], tangents: tuple[Array, ...]) -> tuple[Array, ...]:
+        """Returns the tangent of the offsets; `pull` does not affect them."""
+        pixel, means2d, _ = tangents
+        return (pixel[None, :] - means2d,)
+
+    def transpose(self, residuals: tuple[()], cotangents: tuple[Array, ...]) -> tuple[Array, ...]:
+        """Returns the gradients of pixel and means, and for `pull` the absolute value of the latter."""
+        (gradient,) = cotangents
+        return jnp.sum(gradient, axis=0), -gradient, jnp.abs(gradient)
+
+    def batched(self, size: int, residuals: Dims, tangents: Dims) -> None:
+        """Returns None: the map of a batch is made by `jax.vmap`."""
+
+
+WATCHED = Watched()
 
 
 def alphas_at(
@@ -79,4 +130,4 @@ def weights_along_ray(alphas: Float[Array, " n"]) -> Float[Array, " n"]:
     return jnp.where(after >= MIN_TRANSMITTANCE, before * alphas, 0)
 
 
-KERNELS = Kernels("reference", projection.project, composite, losses.photometric)
+KERNELS = Kernels("reference", projection.project, composite, select, losses.photometric)

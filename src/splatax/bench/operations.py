@@ -21,6 +21,8 @@ from splatax.training.step import train_step
 
 Operation = Callable[[], Any]  # returns the arrays to wait for
 BACKWARD = " F+B"  # forward and backward
+FEATURES = (1, 16, 64)
+VIEWS, SMALL = 64, (64, 64)  # cameras of a batch, and their size in pixels
 
 
 def operations(scene: Scene, backend: str) -> dict[str, Operation]:
@@ -29,6 +31,9 @@ def operations(scene: Scene, backend: str) -> dict[str, Operation]:
         **projection(scene, backend),
         **rasterizer(scene, backend),
         **viewing(scene, backend),
+        **features(scene, backend),
+        **batches(scene, backend),
+        **tangents(scene, backend),
         **training(scene, backend),
     }
 
@@ -74,6 +79,68 @@ def viewing(scene: Scene, backend: str) -> dict[str, Operation]:
     """Returns the operation that renders one frame, as a viewer does."""
     draw = jax.jit(partial(render, backend=backend))
     return {"render": lambda: draw(scene.gaussians, scene.camera).rgb}
+
+
+def features(scene: Scene, backend: str) -> dict[str, Operation]:
+    """Returns operations that blend 1, 16 and 64 features, forward and with gradients."""
+    splats = project(scene.gaussians, scene.camera, backend=backend)
+    rng = np.random.default_rng(0)
+    found: dict[str, Operation] = {}
+    for width in FEATURES:
+        values = jnp.asarray(rng.uniform(size=(len(scene.gaussians), width)), jnp.float32)
+
+        @jax.jit
+        def forward(splats, values):
+            return composite(splats, values, backend=backend)
+
+        @jax.jit
+        def gradient(splats, values):
+            def total(splats, values):
+                return jnp.sum(jnp.square(composite(splats, values, backend=backend)[0]))
+
+            return jax.grad(total, (0, 1))(splats, values)
+
+        name = f"{width} features"
+        found[name] = partial(forward, splats, values)
+        found[f"{name}{BACKWARD}"] = partial(gradient, splats, values)
+    return found
+
+
+def batches(scene: Scene, backend: str) -> dict[str, Operation]:
+    """Returns operations that render 64 small views at once: forward, and with the gradient of the scene."""
+    shifts = jnp.linspace(-0.02, 0.02, VIEWS)
+    small = scene.camera.resized(*SMALL)
+
+    def view(gaussians, shift):
+        camera = replace(small, cam_from_world=small.cam_from_world.at[0, 3].add(shift))
+        return render(gaussians, camera, outputs=("rgb",), backend=backend).rgb
+
+    def total(gaussians):
+        return jnp.sum(jnp.square(jax.vmap(view, (None, 0))(gaussians, shifts)))
+
+    forward, gradient = jax.jit(jax.vmap(view, (None, 0))), jax.jit(jax.grad(total))
+    name = f"{VIEWS} views"
+    return {
+        name: lambda: forward(scene.gaussians, shifts),
+        f"{name}{BACKWARD}": lambda: gradient(scene.gaussians),
+    }
+
+
+def tangents(scene: Scene, backend: str) -> dict[str, Operation]:
+    """Returns the operation that computes the Jacobian of an image in the six numbers of a pose."""
+
+    def image(twist):
+        camera = scene.camera
+        x, y, z = twist[:3]
+        turn = jnp.eye(3) + jnp.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        top = jnp.concatenate([turn @ camera.rotation, (camera.translation + twist[3:])[:, None]], axis=1)
+        pose = camera.cam_from_world.at[:3].set(top)
+        return render(
+            scene.gaussians, replace(camera, cam_from_world=pose), outputs=("rgb",), backend=backend
+        ).rgb
+
+    jacobian = jax.jit(jax.jacfwd(image))
+    return {"Jacobian in the pose": lambda: jacobian(jnp.zeros(6))}
 
 
 def training(scene: Scene, backend: str) -> dict[str, Operation]:

@@ -125,7 +125,7 @@ def visible_weights(
     """
 
     def total(channel, camera):
-        return jnp.sum(renderer(gaussians, camera, channel).features)
+        return jnp.sum(renderer(gaussians, camera, (), {"weight": channel}).features["weight"])
 
     channel = jnp.zeros((len(gaussians), 1), gaussians.means.dtype)
     weights = np.zeros(len(gaussians), np.float64)

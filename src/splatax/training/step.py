@@ -12,7 +12,8 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt8
 
 from splatax import backends
 from splatax.gaussians import Gaussians
-from splatax.rendering import composite, over, project
+from splatax.outputs import over
+from splatax.rendering import composite, project
 from splatax.splats import Splats
 from splatax.training import optimizer
 from splatax.training.feed import Batch

@@ -6,7 +6,7 @@ Results do not depend on the number of threads. Single precision only.
 from functools import partial
 
 from splatax.backends.cpu import library
-from splatax.backends.cpu.composite import MAX_PAIRS, composite
+from splatax.backends.cpu.composite import MAX_PAIRS, composite, select
 from splatax.backends.cpu.library import ALL_THREADS, Build
 from splatax.backends.cpu.photometric import photometric
 from splatax.backends.cpu.projection import project
@@ -28,6 +28,7 @@ def kernels(
         name="cpu" if instructions is None else f"cpu-{instructions}",
         project=partial(project, build=build),
         composite=partial(composite, build=build, max_pairs=max_pairs),
+        select=partial(select, build=build, max_pairs=max_pairs),
         photometric=partial(photometric, build=build),
         why_unavailable=partial(library.why_unavailable, instructions),
         dtypes=("float32",),

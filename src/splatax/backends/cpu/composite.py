@@ -1,6 +1,6 @@
 """The native rasterizer and its gradient; see `splatax.backends.reference` for what it computes."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import jax
@@ -9,9 +9,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from splatax.backends.cpu.library import Build
+from splatax.backends.linear import Dims, linear_call
+from splatax.backends.portable.composite import DERIVATIVE, backward, directions, forward
+from splatax.backends.protocol import Selection
 from splatax.splats import Splats
 
-MAX_PULLED_CHANNELS = 4  # GROUP in native/: with more, no pixel's whole gradient is ever known
+MAX_PULLED_CHANNELS = 16  # NARROW_WALK in native/: with more, no pixel's whole gradient is ever known
 MAX_PAIRS = 2**22  # (splat, tile) pairs in a round: at most 260 MB, however large the scene
 
 
@@ -31,14 +34,102 @@ def composite(
     return _composite(splats, channels, build, max_pairs)
 
 
-@partial(jax.custom_vjp, nondiff_argnums=(2, 3))
+@partial(jax.custom_jvp, nondiff_argnums=(2, 3))
 def _composite(splats: Splats, channels: Float[Array, "n c"], build: Build, max_pairs: int):
     return _draw(splats, channels, build, max_pairs, gradient_follows=False)[:2]
 
 
-def _forward(splats: Splats, channels: Float[Array, "n c"], build: Build, max_pairs: int):
-    image = _draw(splats, channels, build, max_pairs, gradient_follows=True)
-    return tuple(image[:2]), (splats, channels, *image)
+@_composite.defjvp
+def _(build: Build, max_pairs: int, primals, tangents):
+    *image, ticket = _drawn(*primals, build, max_pairs)
+    return tuple(image), _derivative(build, max_pairs, primals, (*image, ticket), tangents)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(2, 3))
+def _drawn(splats: Splats, channels: Float[Array, "n c"], build: Build, max_pairs: int):
+    """Returns the image, and the ticket for its derivative. It can be differentiated again."""
+    return _draw(splats, channels, build, max_pairs, gradient_follows=True)
+
+
+@_drawn.defjvp
+def _(build: Build, max_pairs: int, primals, tangents):
+    drawn = _drawn(*primals, build, max_pairs)
+    no_tangent = np.zeros(drawn[2].shape, jax.dtypes.float0)
+    return drawn, (*_derivative(build, max_pairs, primals, drawn, tangents), no_tangent)
+
+
+def _derivative(build: Build, max_pairs: int, primals, drawn: tuple[Array, ...], tangents):
+    return linear_call(Derivative(build, max_pairs), (*primals, *drawn), directions(*tangents), drawn[:2])
+
+
+@dataclass(frozen=True)
+class Derivative:
+    """The derivative of the native `composite`.
+
+    Attributes:
+        build, max_pairs: see `composite`.
+    """
+
+    build: Build
+    max_pairs: int
+
+    def apply(self, residuals, tangents: tuple[Array, ...]) -> tuple[Array, ...]:
+        """Returns the tangents of the image."""
+        splats, channels, *_ = residuals
+        return _push((splats, channels), tangents[:4], self.build, self.max_pairs)
+
+    def transpose(self, residuals, cotangents: tuple[Array, ...]) -> tuple[Array, ...]:
+        """Returns the gradients of what the image depends on, and of `pull`."""
+        return directions(*_pull_back(residuals, cotangents, self.build, self.max_pairs))
+
+    def batched(self, size: int, residuals: Dims, tangents: Dims) -> None:
+        """Returns None: native calls take batches."""
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(2, 3))
+def _push(point, tangents: tuple[Array, ...], build: Build, max_pairs: int) -> tuple[Array, ...]:
+    splats, channels = point
+    size = (splats.height, splats.width)
+    return tuple(
+        build.call(
+            "splatax_rasterize_tangent",
+            [(*size, channels.shape[1]), size],
+            [*_inputs(splats, channels), *tangents],
+            batches=True,
+            max_pairs=np.int64(max_pairs),
+        )
+    )
+
+
+@_push.defjvp
+def _(build: Build, max_pairs: int, primals, tangents):
+    # Second derivatives come from the portable kernel, which JAX differentiates.
+    def push(point, directions):
+        return DERIVATIVE.apply(forward(*point)[1], directions)
+
+    return _push(*primals, build, max_pairs), jax.jvp(push, primals, tangents)[1]
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(2, 3))
+def _pull_back(residuals, cotangents, build: Build, max_pairs: int):
+    return _backward(build, max_pairs, residuals, cotangents)
+
+
+@_pull_back.defjvp
+def _(build: Build, max_pairs: int, primals, tangents):
+    # Second derivatives come from the portable kernel, which JAX differentiates. The image is a function of
+    # the splats, so its own tangent is not used.
+    (splats, channels, *_), cotangents = primals
+    (d_splats, d_channels, *_), d_cotangents = tangents
+
+    def gradient(moving, cotangents):
+        means2d, sqrt_conics, opacities, channels = moving
+        moved = replace(splats, means2d=means2d, sqrt_conics=sqrt_conics, opacities=opacities)
+        return backward(forward(moved, channels)[1], cotangents)
+
+    point = directions(splats, channels)[:4], cotangents
+    _, out = jax.jvp(gradient, point, (directions(d_splats, d_channels)[:4], d_cotangents))
+    return _pull_back(*primals, build, max_pairs), out
 
 
 def _draw(
@@ -51,6 +142,7 @@ def _draw(
         "splatax_rasterize_forward",
         [(*size, channels.shape[1]), size, ticket_type],
         _inputs(splats, channels),
+        batches=True,
         max_pairs=np.int64(max_pairs),
         gradient_follows=np.int64(gradient_follows),
     )
@@ -64,6 +156,7 @@ def _backward(build: Build, max_pairs: int, residuals, cotangents):
         "splatax_rasterize_backward",
         [*shapes, (0, 2) if splats.pull is None else splats.pull.shape],  # empty where not asked for
         [*_inputs(splats, channels), *image, *cotangents],
+        batches=True,
         max_pairs=np.int64(max_pairs),
     )
     nothing = jax.tree.map(jnp.zeros_like, splats)
@@ -71,9 +164,23 @@ def _backward(build: Build, max_pairs: int, residuals, cotangents):
     return replace(d_splats, pull=None if splats.pull is None else pull), d_channels
 
 
-_composite.defvjp(_forward, _backward)
-
-
 def _inputs(splats: Splats, channels: Float[Array, "n c"]) -> list[Array]:
     shape = [splats.means2d, splats.sqrt_conics, splats.depths, splats.extents, splats.opacities]
     return [*shape, channels]
+
+
+def select(splats: Splats, count: int, build: Build, max_pairs: int) -> Selection:
+    """Finds the splats that contribute most to each pixel; see `splatax.backends.reference.select`."""
+    size = (splats.height, splats.width)
+    indices, weights, median = build.call(
+        "splatax_select",
+        [
+            jax.ShapeDtypeStruct((*size, count), jnp.int32),
+            (*size, count),
+            jax.ShapeDtypeStruct(size, jnp.int32),
+        ],
+        _inputs(splats, splats.colors),
+        batches=True,
+        max_pairs=np.int64(max_pairs),
+    )
+    return Selection(indices, weights, median)

@@ -41,6 +41,8 @@ class Build:
         symbol: str,
         shapes: Sequence[foreign.Shape],
         arrays: Sequence[Array],
+        *,
+        batches: bool = False,
         **options: np.int64 | np.float32,
     ) -> Sequence[Array]:
         """Calls a function of the library.
@@ -50,10 +52,15 @@ class Build:
             shapes: of the arrays that it returns; float32 unless they say otherwise.
             arrays: float32, but for tickets that a function has returned. The library refuses other
                 dtypes, and shapes that do not fit together.
+            batches: whether the function takes leading axes of `jax.vmap`, of length 1 for arrays that a
+                batch shares. If not, it is called once for each element.
             options: further arguments, static under `jit`.
         """
         target = register(self.instructions or best_instructions(), symbol)
-        return foreign.call(target, shapes, arrays, threads=np.int64(self.threads), **options)
+        method = "expand_dims" if batches else "sequential"
+        return foreign.call(
+            target, shapes, arrays, vmap_method=method, threads=np.int64(self.threads), **options
+        )
 
 
 def why_unavailable(instructions: str | None) -> str | None:

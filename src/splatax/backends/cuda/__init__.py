@@ -13,6 +13,7 @@ from splatax.backends.cuda.composite import MAX_PAIRS, composite
 from splatax.backends.cuda.library import Library
 from splatax.backends.cuda.photometric import photometric
 from splatax.backends.cuda.projection import project
+from splatax.backends.portable.select import select
 from splatax.backends.protocol import Kernels
 
 
@@ -34,6 +35,7 @@ def kernels(
         name=name,
         project=partial(project, library=library),
         composite=partial(composite, library=library, max_pairs=max_pairs),
+        select=select,
         photometric=partial(photometric, library=library),
         why_unavailable=why_unavailable,
         dtypes=("float32",),

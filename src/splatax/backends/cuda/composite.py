@@ -1,6 +1,6 @@
 """The rasterizer on the GPU and its gradient; see `splatax.backends.reference` for what it computes."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import jax
@@ -10,6 +10,8 @@ from jaxtyping import Array, Float
 
 from splatax.backends.cuda.library import Library
 from splatax.backends.foreign import Shape
+from splatax.backends.linear import Dims, linear_call
+from splatax.backends.portable.composite import DERIVATIVE, backward, directions, forward
 from splatax.splats import Splats
 
 MAX_PAIRS = (
@@ -39,19 +41,64 @@ def composite(
     return sums[..., :c], alpha
 
 
-@partial(jax.custom_vjp, nondiff_argnums=(2, 3))
+@partial(jax.custom_jvp, nondiff_argnums=(2, 3))
 def _composite(splats: Splats, channels: Float[Array, "n c"], library: Library, max_pairs: int):
     return _draw(splats, channels, library, max_pairs, words=0, floats=0)[:2]
 
 
-def _forward(splats: Splats, channels: Float[Array, "n c"], library: Library, max_pairs: int):
+@_composite.defjvp
+def _(library: Library, max_pairs: int, primals, tangents):
+    drawn = _drawn(*primals, library, max_pairs)
+    return drawn[:2], _derivative(library, max_pairs, primals, drawn, tangents)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(2, 3))
+def _drawn(splats: Splats, channels: Float[Array, "n c"], library: Library, max_pairs: int):
+    """Returns the image, and the lists and checkpoints for its gradient."""
     tiles = -(-splats.width // TILE) * -(-splats.height // TILE)
     pairs = max(max_pairs, tiles)
     n, c = channels.shape
     words = 2 * n + 1 + 2 * pairs + 3 * tiles + 2  # as `Sizes` in native/cuda/host/rasterize.h
     floats = (pairs // CHUNK + tiles) * (1 + c) * PIXELS
-    sums, alpha, *lists = _draw(splats, channels, library, max_pairs, words, floats)
-    return (sums, alpha), (splats, channels, sums, alpha, lists)
+    return _draw(splats, channels, library, max_pairs, words, floats)
+
+
+@_drawn.defjvp
+def _(library: Library, max_pairs: int, primals, tangents):
+    drawn = _drawn(*primals, library, max_pairs)
+    *_, words, checkpoints = drawn
+    moved = _derivative(library, max_pairs, primals, drawn, tangents)
+    # The gradient's gradient computes the checkpoints anew, so their tangent is not used.
+    no_tangent = np.zeros(words.shape, jax.dtypes.float0)
+    return drawn, (*moved, no_tangent, jnp.zeros_like(checkpoints))
+
+
+def _derivative(library: Library, max_pairs: int, primals, drawn: tuple[Array, ...], tangents):
+    return linear_call(Derivative(library, max_pairs), (*primals, *drawn), directions(*tangents), drawn[:2])
+
+
+@dataclass(frozen=True)
+class Derivative:
+    """The derivative of `composite`: backward on the GPU, forward by the portable kernel.
+
+    Attributes:
+        library, max_pairs: see `composite`.
+    """
+
+    library: Library
+    max_pairs: int
+
+    def apply(self, residuals, tangents: tuple[Array, ...]) -> tuple[Array, ...]:
+        """Returns the tangents of the image."""
+        splats, channels, *_ = residuals
+        return DERIVATIVE.apply(forward(splats, channels)[1], tangents)
+
+    def transpose(self, residuals, cotangents: tuple[Array, ...]) -> tuple[Array, ...]:
+        """Returns the gradients of what the image depends on, and of `pull`."""
+        return directions(*_pull_back(residuals, cotangents, self.library, self.max_pairs))
+
+    def batched(self, size: int, residuals: Dims, tangents: Dims) -> None:
+        """Returns None: `jax.vmap` calls the derivative once for each element."""
 
 
 def _draw(
@@ -69,8 +116,9 @@ def _draw(
     return tuple(library.call("splatax_cuda_rasterize", shapes, inputs, max_pairs=np.int64(max_pairs)))
 
 
-def _backward(library: Library, max_pairs: int, residuals, cotangents):
-    splats, channels, sums, alpha, (words, checkpoints) = residuals
+@partial(jax.custom_jvp, nondiff_argnums=(2, 3))
+def _pull_back(residuals, cotangents, library: Library, max_pairs: int):
+    splats, channels, sums, alpha, words, checkpoints = residuals
     shapes = [splats.means2d.shape, splats.sqrt_conics.shape, splats.opacities.shape, channels.shape]
     means2d, sqrt_conics, opacities, d_channels, pull = library.call(
         "splatax_cuda_rasterize_gradient",
@@ -83,7 +131,21 @@ def _backward(library: Library, max_pairs: int, residuals, cotangents):
     return replace(d_splats, pull=None if splats.pull is None else pull), d_channels
 
 
-_composite.defvjp(_forward, _backward)
+@_pull_back.defjvp
+def _(library: Library, max_pairs: int, primals, tangents):
+    # Second derivatives come from the portable kernel, which JAX differentiates. The image is a function of
+    # the splats, so its own tangent is not used.
+    (splats, channels, *_), cotangents = primals
+    (d_splats, d_channels, *_), d_cotangents = tangents
+
+    def gradient(moving, cotangents):
+        means2d, sqrt_conics, opacities, channels = moving
+        moved = replace(splats, means2d=means2d, sqrt_conics=sqrt_conics, opacities=opacities)
+        return backward(forward(moved, channels)[1], cotangents)
+
+    point = directions(splats, channels)[:4], cotangents
+    _, out = jax.jvp(gradient, point, (directions(d_splats, d_channels)[:4], d_cotangents))
+    return _pull_back(*primals, library, max_pairs), out
 
 
 def _inputs(splats: Splats, channels: Float[Array, "n c"]) -> list[Array]:

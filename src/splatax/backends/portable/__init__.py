@@ -2,6 +2,7 @@
 
 from splatax import losses, projection
 from splatax.backends.portable.composite import composite
+from splatax.backends.portable.select import select
 from splatax.backends.protocol import Kernels
 
-KERNELS = Kernels("xla", projection.project, composite, losses.photometric)
+KERNELS = Kernels("xla", projection.project, composite, select, losses.photometric)

@@ -10,7 +10,7 @@ the final sums.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -19,6 +19,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
+from splatax.backends.linear import Dims, linear_call
 from splatax.backends.portable import blending
 from splatax.backends.portable.binning import Boxes, Cursor, Grid, Round, bin_round, slabs_of, tile_boxes
 from splatax.backends.portable.tiles import PIXELS, X, Y, corners, to_image, to_tiles, visit
@@ -36,7 +37,7 @@ class Residuals(NamedTuple):
     first: Round  # usually the only one
 
 
-@jax.custom_vjp
+@jax.custom_jvp
 def composite(
     splats: Splats, channels: Float[Array, "n c"]
 ) -> tuple[Float[Array, "h w c"], Float[Array, "h w"]]:
@@ -92,7 +93,41 @@ def backward(residuals: Residuals, cotangents) -> tuple[Splats, Float[Array, "n 
     return gradients_of(splats, moments, pull if watched else None), d_channels[:, :-1]
 
 
-composite.defvjp(forward, backward)
+@composite.defjvp
+def _(primals, tangents):
+    image, residuals = forward(*primals)
+    return image, linear_call(DERIVATIVE, residuals, directions(*tangents), image)
+
+
+def directions(splats: Splats, channels: Float[Array, "n c"]) -> tuple[Array, ...]:
+    """Returns the tangents that the image depends on."""
+    moving = (splats.means2d, splats.sqrt_conics, splats.opacities, channels)
+    return moving if splats.pull is None else (*moving, splats.pull)
+
+
+@dataclass(frozen=True)
+class Derivative:
+    """The derivative of `composite`: forward by JAX, backward by hand."""
+
+    def apply(self, residuals: Residuals, tangents: tuple[Array, ...]) -> tuple[Array, ...]:
+        """Returns the tangents of the image. `pull` does not affect the image."""
+        splats, channels = residuals.splats, residuals.channels
+
+        def image(means2d, sqrt_conics, opacities, channels):
+            moved = replace(splats, means2d=means2d, sqrt_conics=sqrt_conics, opacities=opacities)
+            return forward(moved, channels)[0]
+
+        return jax.jvp(image, directions(splats, channels)[:4], tangents[:4])[1]
+
+    def transpose(self, residuals: Residuals, cotangents: tuple[Array, ...]) -> tuple[Array, ...]:
+        """Returns the gradients of what the image depends on, and of `pull`."""
+        return directions(*backward(residuals, cotangents))
+
+    def batched(self, size: int, residuals: Dims, tangents: Dims) -> None:
+        """Returns None: the map of a batch is made by `jax.vmap`."""
+
+
+DERIVATIVE = Derivative()
 
 
 def table_of(splats: Splats, channels: Float[Array, "n c"], boxes: Boxes) -> Float[Array, "rows t"]:
@@ -105,7 +140,7 @@ def table_of(splats: Splats, channels: Float[Array, "n c"], boxes: Boxes) -> Flo
         splats.sqrt_conics,
         splats.opacities[:, None],
         channels,
-        jnp.ones_like(channels[:, :1]),
+        jnp.ones_like(splats.opacities[:, None]),
     ]
     return jnp.pad(jnp.concatenate(columns, axis=1)[boxes.order], ((0, 1), (0, 0)))
 

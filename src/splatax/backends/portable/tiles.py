@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, Num
 
 from splatax.backends.portable.binning import TILE, Grid, Lists
 from splatax.backends.portable.sorting import stable_order
@@ -45,7 +45,7 @@ def to_tiles(image: Float[Array, "h w c"], grid: Grid) -> Float[Array, "tiles c 
     return tiles.reshape(grid.tiles, -1, PIXELS)
 
 
-def to_image(tiles: Float[Array, "tiles c p"], grid: Grid) -> Float[Array, "h w c"]:
+def to_image(tiles: Num[Array, "tiles c p"], grid: Grid) -> Num[Array, "h w c"]:
     """Assembles an image from its tiles."""
     image = tiles.reshape(grid.rows, grid.columns, -1, TILE, TILE).transpose(0, 3, 1, 4, 2)
     return image.reshape(grid.rows * TILE, grid.columns * TILE, -1)[: grid.height, : grid.width]

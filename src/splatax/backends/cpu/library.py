@@ -53,7 +53,7 @@ class Build:
             options: further arguments, static under `jit`.
         """
         target = register(self.instructions or best_instructions(), symbol)
-        return foreign.call(target, shapes, arrays, threads=np.int64(self.threads), **options)
+        return foreign.call(target, shapes, arrays, {"threads": np.int64(self.threads), **options})
 
 
 def why_unavailable(instructions: str | None) -> str | None:

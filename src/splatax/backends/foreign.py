@@ -1,6 +1,6 @@
 """Calls of foreign functions that are registered with XLA."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -17,9 +17,8 @@ def call(
     target: str,
     shapes: Sequence[Shape],
     arrays: Sequence[Array],
-    *,
+    options: Mapping[str, np.int64 | np.float32],
     vmap_method: str = "sequential",
-    **options: np.int64 | np.float32,
 ) -> Sequence[Array]:
     """Calls a foreign function, also inside `jax.vmap` and `jax.shard_map`.
 
@@ -27,8 +26,8 @@ def call(
         target: the name under which it is registered.
         shapes: of the arrays that it returns; float32 unless they say otherwise.
         arrays: its arguments. The function checks their dtypes and shapes.
-        vmap_method: how `jax.vmap` calls it; see `jax.ffi.ffi_call`. By default once for each element.
         options: further arguments, static under `jit`.
+        vmap_method: how `jax.vmap` calls it; see `jax.ffi.ffi_call`. By default once for each element.
     """
     axes = varying_axes(arrays)
     results = [_result(shape, axes) for shape in shapes]

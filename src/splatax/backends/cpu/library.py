@@ -58,9 +58,8 @@ class Build:
         """
         target = register(self.instructions or best_instructions(), symbol)
         method = "expand_dims" if batches else "sequential"
-        return foreign.call(
-            target, shapes, arrays, vmap_method=method, threads=np.int64(self.threads), **options
-        )
+        settings = {"threads": np.int64(self.threads), **options}
+        return foreign.call(target, shapes, arrays, settings, method)
 
 
 def why_unavailable(instructions: str | None) -> str | None:

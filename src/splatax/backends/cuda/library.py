@@ -45,7 +45,7 @@ class Library:
     ) -> Sequence[Array]:
         """Calls a handler; see `splatax.backends.foreign.call`."""
         register(self)
-        return foreign.call(symbol, shapes, arrays, **options)
+        return foreign.call(symbol, shapes, arrays, options)
 
 
 @cache

@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test quick lint fuzz sanitize bench page clean
+.PHONY: demo test quick lint fuzz sanitize bench gpu-check page clean
 
 demo: $(READY)  ## trains on a small capture that it makes itself, and prints where the page of the scene is
 	$(BIN)/splatax demo --out runs/demo --overwrite
@@ -46,6 +46,12 @@ $(HEADERS)/.ready: pyproject.toml | $(READY)
 
 bench: $(READY)  ## times the renderer and writes runs/bench
 	$(BIN)/splatax bench --out runs/bench
+
+# It neither builds nor installs, so that it runs on a GPU machine without network: splatax and what it needs must be
+# installed for $(GPU_PYTHON).
+GPU_PYTHON ?= python3
+gpu-check:  ## tells whether the CUDA backend is right and how fast it is on this GPU; writes runs/gpu-check
+	PYTHONPATH=src:tests $(GPU_PYTHON) -m gpu_check --out runs/gpu-check
 
 VIEWER := src/splatax/web/viewer.js
 page: $(VIEWER)  ## builds the viewer of `splatax page` (needs Node.js)

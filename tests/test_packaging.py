@@ -76,12 +76,20 @@ def libraries_in(wheel) -> list[str]:
     ]
 
 
+def files_for_cuda(wheel) -> set[str]:
+    folder = "splatax/backends/cuda/"
+    names = zipfile.ZipFile(wheel).namelist()
+    return {name.removeprefix(folder) for name in names if name.startswith(folder)}
+
+
 @pytest.mark.skipif(shutil.which("c++") is None, reason="no C++ compiler to build the wheel with")
 def test_one_wheel_runs_without_a_compiler_and_on_the_oldest_and_the_newest_jax(tmp_path):
     # For one instruction set, to build a third as long.
     wheel = build_wheel(tmp_path / "wheel", "--config-settings=cmake.define.SPLATAX_ALL_INSTRUCTIONS=OFF")
     assert "-py3-none-" in wheel.name
     assert [Path(name).stem for name in libraries_in(wheel)] == ["libsplatax_baseline"]
+    if sys.platform == "linux":
+        assert {"libsplatax_cuda.so", "kernels/kernels.cu", "kernels/blending.cuh"} <= files_for_cuda(wheel)
 
     quick = {"JAX_PLATFORMS": "cpu", "JAX_DISABLE_MOST_OPTIMIZATIONS": "1", "PYTHONPATH": ""}
     path = path_without_compilers(tmp_path / "programs")

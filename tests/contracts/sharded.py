@@ -10,10 +10,12 @@ import jax
 jax.config.update("jax_num_cpu_devices", 8)
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
+from enrolled import available  # noqa: E402
 from jax.sharding import PartitionSpec as P  # noqa: E402
 from numpy.testing import assert_allclose  # noqa: E402
 
 from scenes import camera_at, random_gaussians  # noqa: E402
+from splatax.backends.protocol import Kernels  # noqa: E402
 from splatax.rendering import render  # noqa: E402
 
 DEVICES = 8
@@ -21,7 +23,7 @@ GAUSSIANS = random_gaussians(n=20, degree=1)
 CAMERAS = [camera_at((0.2 * i - 0.7, 0.3, -4), size=(16, 8), focal=14.0) for i in range(DEVICES)]
 
 
-def check(backend: str, check_vma: bool) -> None:
+def check(backend: str | Kernels, check_vma: bool) -> None:
     """Compares images and gradients of a scene that all devices share with those of a loop over cameras."""
     mesh = jax.make_mesh((DEVICES,), ("view",), axis_types=(jax.sharding.AxisType.Auto,))
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *CAMERAS)
@@ -66,4 +68,4 @@ def check(backend: str, check_vma: bool) -> None:
 if __name__ == "__main__":
     assert jax.device_count() == DEVICES
     for check_vma in (True, False):
-        check(sys.argv[1], check_vma)
+        check(available(sys.argv[1]), check_vma)

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from enrolled import NAMES, available, kernels
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scenes import camera_at, random_gaussians
@@ -15,25 +16,21 @@ from splatax.low_pass import Antialiasing, Dilation
 from splatax.rendering import project, render
 
 REFERENCE = backends.kernels("reference").project
-BUILDS = [name for name in backends.BACKENDS if name != "cpu"]  # cpu: the best of its builds
-OWN = [name for name in BUILDS if backends.kernels(name).project is not REFERENCE]
 DIFFERENTIABLE = ("means2d", "sqrt_conics", "depths", "colors", "opacities")
 FIELDS = (*DIFFERENTIABLE, "extents")
 CAMERA = camera_at((0.3, 0.2, -3.0), size=(64, 48))
 
 
-@pytest.fixture(params=OWN)
+@pytest.fixture(params=NAMES)
 def backend(request):
-    if reason := backends.why_unavailable(request.param):
-        pytest.skip(reason)
-    return request.param
+    if kernels(request.param).project is REFERENCE:
+        pytest.skip("it takes the projection of plain JAX")
+    return available(request.param)
 
 
-@pytest.fixture(params=["xla", *OWN])
+@pytest.fixture(params=[name for name in NAMES if name != "reference"])
 def any_backend(request):
-    if reason := backends.why_unavailable(request.param):
-        pytest.skip(reason)
-    return request.param
+    return available(request.param)
 
 
 def gradients(gaussians, camera, low_pass, backend, weights):
@@ -167,10 +164,10 @@ def test_any_number_of_threads_gives_the_same_bits():
     gaussians = random_gaussians(n=10_000, degree=1)
 
     def gradient(threads):
-        kernels = cpu.kernels(threads=threads)
+        build = cpu.kernels(threads=threads)
 
         def objective(gaussians, camera):
-            splats = project(gaussians, camera, backend=kernels)
+            splats = project(gaussians, camera, backend=build)
             return jnp.sum(splats.means2d) + jnp.sum(splats.sqrt_conics * splats.opacities[:, None])
 
         return jax.grad(objective, argnums=(0, 1))(gaussians, CAMERA)

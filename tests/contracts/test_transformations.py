@@ -69,7 +69,7 @@ def test_shard_map_on_eight_devices(backend):
     folder = Path(__file__).parent
     folders = [str(folder.parent), str(folder.parents[1] / "src"), os.environ.get("PYTHONPATH", "")]
     done = subprocess.run(
-        [sys.executable, str(folder / "sharded.py"), backend],
+        [sys.executable, str(folder / "sharded.py"), getattr(backend, "name", backend)],
         env={**os.environ, "PYTHONPATH": os.pathsep.join(folders), "JAX_PLATFORMS": "cpu"},
         capture_output=True,
         text=True,

@@ -16,12 +16,14 @@ from splatax.backends.protocol import Kernels
 BACKENDS = {  # name -> module:attribute, imported on first use
     "reference": "reference:KERNELS",
     "xla": "portable:KERNELS",
+    "cuda": "cuda:KERNELS",
     "cpu": "cpu:BEST",
     "cpu-avx512": "cpu:AVX512",
     "cpu-avx2": "cpu:AVX2",
     "cpu-baseline": "cpu:BASELINE",
 }
-PREFERENCE = {"cpu": ("cpu", "xla"), "gpu": ("xla",), "tpu": ("xla",)}  # what "auto" tries, by platform
+# what "auto" tries, by platform
+PREFERENCE = {"cpu": ("cpu", "xla"), "gpu": ("cuda", "xla"), "tpu": ("xla",)}
 AUTO = "auto"
 
 

@@ -12,6 +12,7 @@ from rich.table import Table
 import splatax as sx
 from splatax import backends
 from splatax.backends.cpu import library
+from splatax.backends.cuda import nvidia
 from splatax.bench.scenes import procedural
 from splatax.cli.output import complain, say, show
 from splatax.runs.machine import device, versions
@@ -32,6 +33,8 @@ class Doctor:
         say(f"threads       {usable_threads()} usable by this process")
         if library.why_unavailable(None) is None:
             say(f"instructions  {library.best_instructions()}")
+        if backends.why_unavailable("cuda") is None:
+            say(f"cuda          {nvidia.describe()}")
         say("versions      " + ", ".join(f"{name} {version}" for name, version in versions().items()))
         table = Table("rasterizer", "state", "largest difference from the reference")
         chosen, sound = backends.resolve().name, True

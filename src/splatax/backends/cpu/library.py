@@ -12,13 +12,11 @@ from functools import cache
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import jaxlib
 import numpy as np
-from jax.sharding import ManualAxisType, NamedSharding, PartitionSpec
 from jaxtyping import Array
 
-from splatax.varying import vary_over, varying_axes
+from splatax.backends import foreign
 
 FOLDER = Path(__file__).parent
 SUFFIX = {"Darwin": ".dylib", "Windows": ".dll"}.get(platform.system(), ".so")
@@ -41,7 +39,7 @@ class Build:
     def call(
         self,
         symbol: str,
-        shapes: Sequence[tuple[int, ...] | jax.ShapeDtypeStruct],
+        shapes: Sequence[foreign.Shape],
         arrays: Sequence[Array],
         *,
         batches: bool = False,
@@ -59,23 +57,9 @@ class Build:
             options: further arguments, static under `jit`.
         """
         target = register(self.instructions or best_instructions(), symbol)
-        axes = varying_axes(arrays)
-        results = [_result(shape, axes) for shape in shapes]
-        return jax.ffi.ffi_call(target, results, vmap_method="expand_dims" if batches else "sequential")(
-            *vary_over(axes, tuple(arrays)), threads=np.int64(self.threads), **options
-        )
-
-
-def _result(shape: tuple[int, ...] | jax.ShapeDtypeStruct, axes: frozenset[str]) -> jax.ShapeDtypeStruct:
-    """Returns the type of a result, which varies over the mesh axes that the arguments vary over."""
-    if not isinstance(shape, jax.ShapeDtypeStruct):
-        shape = jax.ShapeDtypeStruct(shape, jnp.float32)
-    if not axes:
-        return shape
-    everywhere = NamedSharding(jax.sharding.get_abstract_mesh(), PartitionSpec())
-    return jax.ShapeDtypeStruct(
-        shape.shape, shape.dtype, sharding=everywhere, manual_axis_type=ManualAxisType(varying=axes)
-    )
+        method = "expand_dims" if batches else "sequential"
+        settings = {"threads": np.int64(self.threads), **options}
+        return foreign.call(target, shapes, arrays, settings, method)
 
 
 def why_unavailable(instructions: str | None) -> str | None:

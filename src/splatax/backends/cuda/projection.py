@@ -48,7 +48,7 @@ class Settings:
             height=np.int64(self.height),
             variance=np.float32(self.low_pass.variance),
             fades=np.int64(fades),
-            least_fade=np.float32(self.low_pass.floor if fades else 0),
+            least_fade=np.float32(self.low_pass.floor if isinstance(self.low_pass, Antialiasing) else 0),
         )
         return list(results)
 

@@ -7,8 +7,12 @@ import shutil
 import tempfile
 from pathlib import Path
 
-# XLA's compiler takes most of the time. Workers, and the commands that tests start, share what it has
-# compiled. JAX reads these variables when it is imported; processes that are started later inherit them.
+# XLA's compiler takes most of the time. It optimizes little here, which changes roundings but no rule that is
+# tested; with SPLATAX_OPTIMIZED=1 tests run what users run. Workers, and the commands that tests start, share
+# what has been compiled. JAX reads these variables when it is imported; later processes inherit them.
+if "SPLATAX_OPTIMIZED" not in os.environ:
+    little = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
+    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {little}".strip()
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     os.environ["JAX_COMPILATION_CACHE_DIR"] = tempfile.mkdtemp(prefix="splatax-programs-")
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"

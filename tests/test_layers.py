@@ -11,9 +11,9 @@ ROOT = Path(splatax.__file__).parent
 LAYERS = (  # lowest first; a package stands for all its modules
     {"math", "errors", "packages", "shapes", "splits", "varying", "low_pass"},
     {"gaussians", "splats", "cameras", "dataset", "resampling", "transforms"},
-    {"footprints", "projection", "losses", "metrics", "lpips", "io"},
+    {"footprints", "projection", "sky", "losses", "metrics", "lpips", "io"},
     {"backends"},
-    {"outputs", "rendering", "trajectories"},
+    {"outputs", "stages", "rendering", "trajectories"},
     {"training", "evaluation", "editing"},
     {"demo", "bench", "reconstruction", "notebook", "web"},
     {"runs"},

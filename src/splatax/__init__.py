@@ -25,10 +25,11 @@ HOMES = {  # public name -> module here that defines it
     "Renderer": "rendering",
     "Rendering": "outputs",
     "Scores": "evaluation",
+    "Sky": "sky",
     "Splats": "splats",
     "View": "dataset",
     "WHITE": "rendering",
-    "composite": "rendering",
+    "composite": "stages",
     "demo_dataset": "demo.dataset",
     "evaluate": "evaluation",
     "fit": "training.loop",
@@ -36,7 +37,7 @@ HOMES = {  # public name -> module here that defines it
     "load_dataset": "io.datasets",
     "look_at": "cameras",
     "optimize": "training.loop",
-    "project": "rendering",
+    "project": "stages",
     "rasterize": "rendering",
     "render": "rendering",
     "save": "io.formats",
@@ -98,12 +99,13 @@ if TYPE_CHECKING:  # the same names, for type checkers and editors; tests/test_i
     from splatax.rendering import BLACK as BLACK
     from splatax.rendering import WHITE as WHITE
     from splatax.rendering import Renderer as Renderer
-    from splatax.rendering import composite as composite
-    from splatax.rendering import project as project
     from splatax.rendering import rasterize as rasterize
     from splatax.rendering import render as render
     from splatax.runs import forecast as forecast
+    from splatax.sky import Sky as Sky
     from splatax.splats import Splats as Splats
+    from splatax.stages import composite as composite
+    from splatax.stages import project as project
     from splatax.training import recipes as recipes
     from splatax.training.loop import Progress as Progress
     from splatax.training.loop import fit as fit

@@ -95,7 +95,7 @@ def evaluate(
     """
     scores = []
     for view in views:
-        photo = photo_of(view, renderer.background)
+        photo = photo_of(view, renderer.behind(view.camera))
         image = picture(gaussians, view.camera, renderer)
         scores.append(score(view.name, image, photo, mask_of(view), lpips))
     return Scores(tuple(scores))

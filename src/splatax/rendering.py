@@ -13,17 +13,23 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from splatax import backends, cameras
+from splatax import backends
 from splatax import gaussians as scenes
 from splatax import splats as views
-from splatax.backends.protocol import MOST_SELECTED, Kernels, Selection
+from splatax.backends.protocol import Kernels, Selection
 from splatax.cameras import Camera
+from splatax.cameras.geometry import rays
 from splatax.footprints import EWA, Method
 from splatax.gaussians import Gaussians
 from splatax.low_pass import LowPass
 from splatax.outputs import STANDARD, BackgroundArray, Drawn, Output, Outputs, Rendering, Seen, resolve
-from splatax.shapes import check_arrays, check_dtypes
+from splatax.shapes import check_arrays
+from splatax.sky import Surroundings
 from splatax.splats import Splats
+from splatax.stages import composite as composite
+from splatax.stages import dtype_of
+from splatax.stages import project as project
+from splatax.stages import select as select
 from splatax.varying import vary_together
 
 BLACK = np.zeros(3, np.float32)
@@ -43,14 +49,15 @@ class Renderer:
     It is a pytree, so it passes through `jit`. `Renderer()(scene, camera)` is `render(scene, camera)`.
 
     Attributes:
-        background: RGB seen through what transmittance remains, one colour or one for each pixel. Traced.
+        background: RGB seen through what transmittance remains: one colour, one for each pixel, or a function
+            of the direction such as `Sky`. Traced.
         low_pass: filter, such as `Antialiasing(0.3)`; None for the one that the scene was trained
             with. Static.
         backend: "auto", the name of a backend, or kernels of your own. Static.
         projection: `Ewa()` or `Unscented()`. Static.
     """
 
-    background: BackgroundLike = (0.0, 0.0, 0.0)
+    background: BackgroundLike | Surroundings = (0.0, 0.0, 0.0)
     low_pass: LowPass | None = field(default=None, metadata={"static": True})
     backend: str | Kernels = field(default=backends.AUTO, metadata={"static": True})
     projection: Method = field(default=EWA, metadata={"static": True})
@@ -65,12 +72,18 @@ class Renderer:
         """Renders a scene; see `render`."""
         requested = resolve(outputs)
         scenes.checked(gaussians)
-        kernels = backends.resolve(self.backend, _dtype(gaussians.means))
+        kernels = backends.resolve(self.backend, dtype_of(gaussians.means))
         splats = project(
             gaussians, camera, low_pass=self.low_pass, backend=kernels, projection=self.projection
         )
         seen = Seen(splats, gaussians, camera)
-        return _draw(seen, self.background, features or {}, requested, kernels)
+        return _draw(seen, self.behind(camera), features or {}, requested, kernels)
+
+    def behind(self, camera: Camera) -> BackgroundLike:
+        """Returns the background that a camera sees: one colour, or one for each pixel."""
+        if isinstance(self.background, Surroundings):
+            return self.background(rays(camera))
+        return self.background
 
 
 def render(
@@ -79,7 +92,7 @@ def render(
     *,
     outputs: Outputs = STANDARD,
     features: Features | None = None,
-    background: BackgroundLike = BLACK,
+    background: BackgroundLike | Surroundings = BLACK,
     low_pass: LowPass | None = None,
     backend: str | Kernels = backends.AUTO,
     projection: Method = EWA,
@@ -96,7 +109,8 @@ def render(
             your own. Outputs that are not requested are not computed.
         features: further numbers of each Gaussian by name, such as {"labels": [n 24]}. They are blended like
             colour, without a background, and returned under the same names.
-        background: RGB seen through what transmittance remains, one colour or one for each pixel.
+        background: RGB seen through what transmittance remains: one colour, one for each pixel, or a function
+            of the direction of view, such as `Sky`.
         low_pass: filter, such as `Antialiasing(0.3)`; None for the one that the scene was trained with.
         backend: "auto", the name of a backend, or kernels of your own.
         projection: how a Gaussian's image is found, `Ewa()` or `Unscented()`; see `splatax.footprints`.
@@ -106,50 +120,6 @@ def render(
             backend is unknown or not available here.
     """
     return Renderer(background, low_pass, backend, projection)(gaussians, camera, outputs, features)
-
-
-def project(
-    gaussians: Gaussians,
-    camera: Camera,
-    *,
-    low_pass: LowPass | None = None,
-    backend: str | Kernels = backends.AUTO,
-    projection: Method = EWA,
-) -> Splats:
-    """Projects a scene: the first half of `render`. Differentiable in the scene and the camera.
-
-    Culled rows have zero extent: those that the lens does not see (nearer than 0.01, or behind a pinhole),
-    more transparent than 1/255, beside the image, or with a number that is not finite. They get a zero
-    gradient, and leave that of the camera finite.
-
-    Args:
-        gaussians: the scene.
-        camera: the view.
-        low_pass: see `render`.
-        backend: see `render`.
-        projection: see `render`.
-
-    Returns:
-        The 2D Gaussians that the camera sees, one row for each Gaussian, in the same order.
-
-    Raises:
-        ValueError: as `render`.
-    """
-    scenes.checked(gaussians)
-    cameras.checked(camera)
-    dtype = check_dtypes(
-        "Gaussians and Camera", {"means": gaussians.means, "cam_from_world": camera.cam_from_world}
-    )
-    kernels = backends.resolve(backend, dtype)
-    return _project(gaussians, camera, low_pass or gaussians.low_pass, kernels, projection)
-
-
-@partial(jax.jit, static_argnames=("low_pass", "kernels", "method"))
-def _project(
-    gaussians: Gaussians, camera: Camera, low_pass: LowPass, kernels: Kernels, method: Method
-) -> Splats:
-    gaussians, camera = vary_together(gaussians, camera)
-    return kernels.project(gaussians, camera, low_pass, method)
 
 
 def rasterize(
@@ -167,7 +137,7 @@ def rasterize(
     """
     requested = resolve(outputs)
     views.checked(splats)
-    kernels = backends.resolve(backend, _dtype(splats.means2d))
+    kernels = backends.resolve(backend, dtype_of(splats.means2d))
     return _draw(Seen(splats, None, None), background, features or {}, requested, kernels)
 
 
@@ -225,81 +195,3 @@ def _finish(
         images={name: output.finish(drawn(name, output)) for name, output in requested},
         features={name: sums["feature", name] for name in features},
     )
-
-
-def select(splats: Splats, count: int, *, backend: str | Kernels = backends.AUTO) -> Selection:
-    """Finds the splats that contribute most to each pixel, and the one that makes it half opaque.
-
-    The result has no gradient.
-
-    Args:
-        splats: the 2D Gaussians of one view.
-        count: how many splats to find for each pixel, 0 to 64.
-        backend: see `render`.
-
-    Raises:
-        ValueError: if the number is out of range, the arrays do not fit together, or the backend is unknown
-            or not available here.
-    """
-    views.checked(splats)
-    if not 0 <= count <= MOST_SELECTED:
-        raise ValueError(f"count is {count}, but `select` finds 0 to {MOST_SELECTED} splats for each pixel.")
-    kernels = backends.resolve(backend, _dtype(splats.means2d))
-    size, n = (splats.height, splats.width), splats.means2d.shape[0]
-    if n == 0:
-        none = jnp.full((*size, count), -1, jnp.int32)
-        return Selection(none, none.astype(splats.means2d.dtype) * 0, jnp.full(size, -1, jnp.int32))
-    return _select(jax.lax.stop_gradient(splats), count, kernels)
-
-
-@partial(jax.jit, static_argnames=("count", "kernels"))
-def _select(splats: Splats, count: int, kernels: Kernels) -> Selection:
-    (splats,) = vary_together(splats)
-    n = splats.means2d.shape[0]
-    found = kernels.select(views.unrolled(splats, splats.colors)[0], count)
-    if splats.period is None:
-        return found
-
-    def row(indices):  # a copy on the other side of the seam stands for its splat
-        return jnp.where(indices >= n, indices - n, indices)
-
-    return Selection(row(found.indices), found.weights, row(found.median))
-
-
-def composite(
-    splats: Splats, channels: Float[Array, "n c"], *, backend: str | Kernels = backends.AUTO
-) -> tuple[Float[Array, "h w c"], Float[Array, "h w"]]:
-    """Blends any per-splat channels front to back into every pixel.
-
-    Differentiable in means2d, sqrt_conics, opacities and channels. The order of depths is not differentiable;
-    to render depth, pass it as a channel. Splats with `pull` get its gradient too.
-
-    Args:
-        splats: their `colors` are not used: pass them as channels.
-        channels: what to blend, any number of them.
-        backend: see `render`.
-
-    Returns:
-        The sums over splats of weight times channel, and the sums of weights (alpha).
-
-    Raises:
-        ValueError: if the shapes or dtypes of the arrays do not fit together, or the backend is unknown, not
-            available here, or cannot give the gradient of `pull` for so many channels.
-    """
-    views.checked(splats, channels)
-    kernels = backends.resolve(backend, _dtype(splats.means2d))
-    if splats.means2d.shape[0] == 0:
-        size, dtype = (splats.height, splats.width), splats.means2d.dtype
-        return jnp.zeros((*size, channels.shape[1]), dtype), jnp.zeros(size, dtype)
-    return _composite(splats, channels, kernels)
-
-
-@partial(jax.jit, static_argnames="kernels")
-def _composite(splats: Splats, channels: Float[Array, "n c"], kernels: Kernels):
-    splats, channels = vary_together(splats, channels)
-    return kernels.composite(*views.unrolled(splats, channels))
-
-
-def _dtype(array: Array | np.ndarray) -> np.dtype:
-    """Returns the dtype that JAX computes in for an array: without x64, float64 becomes float32."""
-    return jax.dtypes.canonicalize_dtype(array.dtype)

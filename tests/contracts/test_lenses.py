@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 
 from scenes import camera_at, random_gaussians
 from splatax import cameras
-from splatax.cameras import lenses
+from splatax.cameras import geometry, lenses
 from splatax.cameras.motion import RollingShutter
 from splatax.footprints import Ewa, Unscented
 from splatax.low_pass import Dilation
@@ -261,3 +261,16 @@ def test_a_rolling_shutter_sees_each_row_from_its_own_pose(x64):
         time = jnp.clip(pixel[1] / camera.height, 0, 1) - 0.5
         pose = camera.at(time)
         assert_allclose(pose.to_pixel(pose.to_camera(point)), pixel, atol=1e-7)
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_every_ray_is_seen_at_its_pixel(x64, lens, motion):
+    camera = replace(wide_camera(lens, MOTIONS[motion]), width=8, height=6)
+    camera = replace(camera, cx=jnp.asarray(4.0), cy=jnp.asarray(3.0))
+    if not lens.CENTRAL:
+        assert_allclose(geometry.rays(camera)[2, 5], camera.at(jnp.asarray(-1 / 12)).rotation[2], atol=1e-12)
+        return
+    pixel = jnp.array([5.5, 2.5])
+    there = camera.at(jnp.asarray(2.5 / 6 - 0.5))
+    point = there.position + 3 * geometry.rays(camera)[2, 5]
+    assert_allclose(camera.to_pixel(camera.to_camera(point)), pixel, atol=1e-6)

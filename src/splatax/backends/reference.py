@@ -21,7 +21,7 @@ from splatax.splats import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, Splats
 def composite(
     splats: Splats, channels: Float[Array, "n c"]
 ) -> tuple[Float[Array, "h w c"], Float[Array, "h w"]]:
-    """Blends `channels` of the splats, nearest first, into every pixel; see `splatax.rendering.composite`."""
+    """Blends `channels` of the splats, nearest first, into every pixel; see `splatax.composite`."""
     visible = jnp.all(splats.extents > 0, axis=1)
     order = jnp.argsort(jnp.where(visible, splats.depths, jnp.inf), stable=True)
     means2d, sqrt_conics = splats.means2d[order], splats.sqrt_conics[order]

@@ -12,7 +12,8 @@ import numpy as np
 from splatax import backends
 from splatax.bench.scenes import Scene
 from splatax.losses import Photometric
-from splatax.rendering import composite, project, render
+from splatax.rendering import render
+from splatax.stages import composite, project
 from splatax.training import optimizer
 from splatax.training.feed import Batch
 from splatax.training.loop import first_state

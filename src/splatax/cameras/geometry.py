@@ -56,3 +56,19 @@ def _seen(camera: Camera, points: Float[Array, "n 3"]) -> tuple[Float[Array, "n 
 @jax.jit
 def _local(camera: Camera, rows: Float[Array, "n 3"]) -> tuple[Float[Array, "n 3"]]:
     return (jax.vmap(lambda row: camera.to_point(row[:2], row[2]))(rows),)
+
+
+@jax.jit
+def rays(camera: Camera) -> Float[Array, "h w 3"]:
+    """Returns the directions in the world, unit vectors, in which the centres of a camera's pixels look."""
+
+    def one(pixel):
+        here = camera
+        if camera.motion is not None:
+            here = camera.at(camera.motion.time(pixel, camera.width, camera.height))
+        near, far = (here.to_point(pixel, jnp.asarray(depth, pixel.dtype)) for depth in (0.0, 1.0))
+        direction = here.rotation.T @ (far - near)
+        return direction / jnp.sqrt(direction @ direction)
+
+    x, y = (jnp.arange(side, dtype=camera.fx.dtype) + 0.5 for side in (camera.width, camera.height))
+    return jax.vmap(jax.vmap(one))(jnp.stack(jnp.meshgrid(x, y), axis=-1))

@@ -145,7 +145,7 @@ class Results:
 
     def _compare(self, view: View) -> Comparison:
         renderer = self.recipe.renderer
-        photo = photo_of(view, renderer.background)
+        photo = photo_of(view, renderer.behind(view.camera))
         image = picture(self.gaussians, view.camera, renderer)
         mask = mask_of(view)
         return Comparison(score(view.name, image, photo, mask), photo, image, mask)

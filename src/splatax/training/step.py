@@ -13,8 +13,8 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt8
 from splatax import backends
 from splatax.gaussians import Gaussians
 from splatax.outputs import over
-from splatax.rendering import composite, project
 from splatax.splats import Splats
+from splatax.stages import composite, project
 from splatax.training import optimizer
 from splatax.training.feed import Batch
 from splatax.training.optimizer import LearningRates

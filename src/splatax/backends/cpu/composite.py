@@ -21,7 +21,7 @@ MAX_PAIRS = 2**22  # (splat, tile) pairs in a round: at most 260 MB, however lar
 def composite(
     splats: Splats, channels: Float[Array, "n c"], build: Build, max_pairs: int
 ) -> tuple[Float[Array, "h w c"], Float[Array, "h w"]]:
-    """Blends `channels` of the splats, nearest first, into every pixel; see `splatax.rendering.composite`.
+    """Blends `channels` of the splats, nearest first, into every pixel; see `splatax.composite`.
 
     Raises:
         ValueError: if `pull` is asked for with more channels than the kernel blends together.

@@ -24,7 +24,7 @@ TILE, PIXELS, CHUNK = 16, 256, 128  # as in native/cuda/kernels/arguments.cuh
 def composite(
     splats: Splats, channels: Float[Array, "n c"], library: Library, max_pairs: int
 ) -> tuple[Float[Array, "h w c"], Float[Array, "h w"]]:
-    """Blends `channels` of the splats, nearest first, into every pixel; see `splatax.rendering.composite`.
+    """Blends `channels` of the splats, nearest first, into every pixel; see `splatax.composite`.
 
     Raises:
         ValueError: if `pull` is asked for with more channels than the kernel blends together.

@@ -41,7 +41,7 @@ class Residuals(NamedTuple):
 def composite(
     splats: Splats, channels: Float[Array, "n c"]
 ) -> tuple[Float[Array, "h w c"], Float[Array, "h w"]]:
-    """Blends `channels` of the splats, nearest first, into every pixel; see `splatax.rendering.composite`."""
+    """Blends `channels` of the splats, nearest first, into every pixel; see `splatax.composite`."""
     return forward(splats, channels)[0]
 
 

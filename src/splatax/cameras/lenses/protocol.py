@@ -1,4 +1,4 @@
-"""What a lens is: a map from points in camera axes to the image plane at focal length one.
+"""The protocol of a lens: a map from points in camera axes to the image plane at focal length one.
 
 The camera adds focal lengths and principal point. Nothing but the map is written down: the Jacobian that
 projection needs is `jax.jacfwd` of it, and every coefficient has a gradient.

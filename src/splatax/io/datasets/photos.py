@@ -70,7 +70,7 @@ class Source:
 
     @property
     def known(self) -> bool:
-        """Whether splatax has the lens of the photo, so that it need not be undistorted."""
+        """True if splatax has the lens of the photo, so that it need not be undistorted."""
         return self.camera.model.name in KNOWN
 
     def view(self, factor: float, undistort: bool) -> View:

@@ -1,5 +1,6 @@
 """EWA projection by the native library; see `splatax.projection` for what it computes."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -9,17 +10,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from splatax import projection
+from splatax.backends import pinholes
 from splatax.backends.cpu.library import Build
 from splatax.backends.linear import Batched, Dims, linear_call
 from splatax.cameras import Camera
-from splatax.cameras.lenses import Pinhole
 from splatax.footprints import EWA, Method
 from splatax.gaussians import Gaussians
 from splatax.low_pass import Antialiasing, LowPass
-from splatax.projection import project_one
 from splatax.splats import Splats
-
-FIELDS = ("means", "quats", "log_scales", "opacity_logits", "sh")
 
 
 @dataclass(frozen=True)
@@ -36,6 +34,11 @@ class Settings:
     width: int
     height: int
     low_pass: LowPass
+
+    @property
+    def portable(self) -> Callable[[tuple[Array, ...], Array], tuple[Array, ...]]:
+        """What the kernels compute, by plain JAX."""
+        return partial(pinholes.project, (self.width, self.height), self.low_pass)
 
     def options(self) -> dict[str, np.int64 | np.float32]:
         """Returns the attributes of the native call."""
@@ -54,23 +57,13 @@ def project(
 ) -> Splats:
     """Projects all Gaussians to one view. Differentiable in the Gaussians and the camera.
 
-    The library knows pinholes that do not move, by EWA; the portable projection does all others.
+    The library knows what `pinholes.serves`; the portable projection does all else.
     """
-    if not (isinstance(camera.lens, Pinhole) and camera.motion is None and method == EWA):
+    if not pinholes.serves(camera, method):
         return projection.project(gaussians, camera, low_pass, method)
     settings = Settings(build, camera.width, camera.height, low_pass)
-    numbers = [
-        camera.fx,
-        camera.fy,
-        camera.cx,
-        camera.cy,
-        camera.rotation,
-        camera.translation,
-        camera.position,
-    ]
-    packed = jnp.concatenate([jnp.ravel(number) for number in numbers])  # as CameraField in native/
-    arrays = tuple(getattr(gaussians, field) for field in FIELDS)
-    means2d, sqrt_conics, depths, extents, colors, opacities = _project(arrays, packed, settings)
+    splats = _project(pinholes.arrays_of(gaussians), pinholes.packed(camera), settings)
+    means2d, sqrt_conics, depths, extents, colors, opacities = splats
     return Splats(means2d, sqrt_conics, depths, extents, colors, opacities, camera.width, camera.height)
 
 
@@ -93,21 +86,6 @@ def _(settings: Settings, primals, tangents):
     return splats, linear_call(Derivative(settings), (arrays, camera, splats[3]), directions, splats)
 
 
-def _portable(settings: Settings, arrays: tuple[Array, ...], camera: Float[Array, "19"]) -> tuple[Array, ...]:
-    """Returns what `_project` does, by plain JAX."""
-    fx, fy, cx, cy = camera[:4]
-    pose = (
-        jnp.eye(4, dtype=camera.dtype).at[:3, :3].set(camera[4:13].reshape(3, 3)).at[:3, 3].set(camera[13:16])
-    )
-    view = Camera(fx, fy, cx, cy, pose, settings.width, settings.height)
-
-    def one(mean, quat, log_scale, logit, sh):
-        return project_one(mean, quat, log_scale, logit, sh, view, camera[16:], settings.low_pass, EWA)
-
-    rows = jax.vmap(one)(*arrays)
-    return tuple(rows._replace(extent=jax.lax.stop_gradient(rows.extent)))
-
-
 @dataclass(frozen=True)
 class Derivative:
     """The derivative of the native projection: backward native, forward by the portable kernel."""
@@ -117,9 +95,8 @@ class Derivative:
     def apply(self, residuals, tangents: tuple[Array, ...]) -> tuple[Array, ...]:
         """Returns the tangents of the splats."""
         arrays, camera, extents = residuals
-        _, found = jax.jvp(partial(_portable, self.settings), (arrays, camera), (tangents[:5], tangents[5]))
-        shown = extents[:, :1] > 0
-        return tuple(jnp.where(shown if moved.ndim == 2 else shown[:, 0], moved, 0) for moved in found)
+        _, found = jax.jvp(self.settings.portable, (arrays, camera), (tangents[:5], tangents[5]))
+        return pinholes.shown(extents, found)
 
     def transpose(self, residuals, cotangents: tuple[Array, ...]) -> tuple[Array, ...]:
         """Returns the gradients of the Gaussians' arrays and of the camera."""
@@ -183,21 +160,17 @@ def _(settings: Settings, primals, tangents):
     # Second derivatives come from the portable kernel, which JAX differentiates.
     (arrays, camera, extents), cotangents = primals
     (d_arrays, d_camera, _), d_cotangents = tangents
-    shown = extents[..., :1] > 0
 
     def gradient(arrays, camera, cotangents):
         if extents.ndim == 3:  # cameras that share a scene
 
             def all_splats(arrays, camera):
                 scene = tuple(array[0] for array in arrays)
-                return jax.vmap(partial(_portable, settings), (None, 0))(scene, camera)
+                return jax.vmap(settings.portable, (None, 0))(scene, camera)
 
         else:
-            all_splats = partial(_portable, settings)
-        kept = tuple(
-            jnp.where(shown if value.ndim == shown.ndim else shown[..., 0], value, 0) for value in cotangents
-        )
-        d_arrays, d_camera = jax.vjp(all_splats, arrays, camera)[1](kept)
+            all_splats = settings.portable
+        d_arrays, d_camera = jax.vjp(all_splats, arrays, camera)[1](pinholes.shown(extents, cotangents))
         return (*d_arrays, d_camera)
 
     _, out = jax.jvp(gradient, (arrays, camera, cotangents), (d_arrays, d_camera, d_cotangents))

@@ -6,6 +6,7 @@ An output is made of sums over the splats at a pixel (`channels`), of the splats
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, NamedTuple
 
 import jax
@@ -68,6 +69,7 @@ class Output:
     selected: int | None = None
 
 
+@cache  # equal outputs share a compiled program
 def contributors(count: int) -> Output:
     """Returns the output "contributors" for another number of Gaussians, from 1 to 64.
 
@@ -169,9 +171,9 @@ class Rendering:
 
         rgb           [h w 3]  display-referred colour over the background, at least 0; may exceed 1
         alpha         [h w]    coverage of the pixel, in [0, 1]
-        depth         [h w]    mean camera z of the splats that cover the pixel, world units; 0 if none
+        depth         [h w]    mean depth of the splats that cover the pixel, world units; 0 if none
         distance      [h w]    mean distance from the optical centre to these, world units; 0 if none
-        median_depth  [h w]    camera z of the splat that makes the pixel half opaque; 0 if none does
+        median_depth  [h w]    depth of the splat that makes the pixel half opaque; 0 if none does
         contributors           `Contributors`: the Gaussians with the largest weights, and the weights
 
     Attributes:

@@ -36,10 +36,10 @@ class Projected(NamedTuple):
 def project(gaussians: Gaussians, camera: Camera, low_pass: LowPass, method: Method = EWA) -> Splats:
     """Projects all Gaussians to one view. This portable kernel defines the results of all other kernels.
 
-    A row is culled if the lens does not see the Gaussian (nearer than 0.01, behind a perspective), or it is
-    less opaque than 1/255, outside the image, too large for float32 or broken (see `gaussians.is_sound`).
-    Culled rows have zero extent and a zero gradient, and do not affect the gradient of the camera; their
-    other numbers are finite.
+    A row is culled if the lens does not see the Gaussian, in the middle of the exposure too (it is nearer
+    than 0.01, or behind a perspective), or it is less opaque than 1/255, outside the image, too large for
+    float32 or broken (see `gaussians.is_sound`). Culled rows have zero extent and a zero gradient, and do not
+    affect the gradient of the camera; their other numbers are finite.
 
     Colour is seen along the ray from the camera's position in the middle of the exposure.
 
@@ -96,6 +96,8 @@ def project_one(
     else:
         mean = jnp.where(seen, mean, position + camera.rotation.T @ ahead)
         point = camera.to_camera(mean)
+        seen &= camera.lens.sees(point)
+        point = jnp.where(seen, point, ahead)
 
     scale = jnp.exp(jnp.minimum(log_scale, MAX_LOG_SCALE))
     found = method(camera, mean, point, ellipsoids.covariance_factor(quat, scale))

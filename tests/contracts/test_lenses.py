@@ -274,3 +274,16 @@ def test_every_ray_is_seen_at_its_pixel(x64, lens, motion):
     there = camera.at(jnp.asarray(2.5 / 6 - 0.5))
     point = there.position + 3 * geometry.rays(camera)[2, 5]
     assert_allclose(camera.to_pixel(camera.to_camera(point)), pixel, atol=1e-6)
+
+
+def test_behind_the_pole_of_a_rational_distortion_nothing_is_seen(x64):
+    """r / (1 - 0.5 r^2) grows everywhere, but begins again at minus infinity behind r = 1.41."""
+    lens = lenses.opencv(0, 0, 0, 0, 0, -0.5, dtype="float64")
+    seen = [bool(lens.sees(jnp.array([radius, 0.0, 1.0]))) for radius in (0.5, 1.3, 1.5, 3.0)]
+    assert seen == [True, True, False, False]
+
+
+def test_a_pixel_beyond_the_fold_looks_along_the_fold(x64):
+    lens = lenses.opencv(-0.3, dtype="float64")  # the image ends at radius 0.703, of slope 1.054
+    for radius in (0.71, 1.0, 5.0):
+        assert_allclose(lens.unproject(jnp.array([radius, 0]), jnp.asarray(1.0)), [1.054, 0, 1], atol=0.03)

@@ -36,7 +36,7 @@ def judged(dataset, psnrs, gain=0.2, images=None):
 def test_a_good_scene_is_called_good_and_nothing_is_bad(dataset):
     verdict = judged(dataset, [33.0, 34.0, 35.0])
     assert verdict.headline == (
-        "Seen from places where no photo was taken, the scene is nearly the same as the photo."
+        "Seen from the places of photos that it had not seen, the scene is nearly the same as the photo."
     )
     assert verdict.good[0] == "3 of 3 photos that it had not seen are matched well; best: view16.png."
     assert not verdict.bad

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from splatax.cameras import Camera
+from splatax.cameras.lenses import Lens, Pinhole
 from splatax.gaussians import Gaussians
 from splatax.math import harmonics
 from splatax.trajectories.shapes import FOCAL, overview
@@ -23,7 +24,7 @@ class Scene:
     procedural: bool = False
 
 
-def procedural(count: int, size: tuple[int, int], seed: int = 0) -> Scene:
+def procedural(count: int, size: tuple[int, int], seed: int = 0, lens: Lens = Pinhole()) -> Scene:
     """Returns a wavy sheet of flat Gaussians that fills the image, with the statistics of a trained scene.
 
     The size of the Gaussians decreases with their number, so the number of layers over a pixel stays
@@ -33,6 +34,7 @@ def procedural(count: int, size: tuple[int, int], seed: int = 0) -> Scene:
         count: number of Gaussians.
         size: width and height of the image, pixels.
         seed: random seed.
+        lens: of the camera, in front of which the sheet lies.
     """
     rng = np.random.default_rng(seed)
     focal = FOCAL * max(size)
@@ -53,7 +55,7 @@ def procedural(count: int, size: tuple[int, int], seed: int = 0) -> Scene:
         sh,
     )
     gaussians = Gaussians(*(jnp.asarray(field, jnp.float32) for field in fields))
-    camera = Camera.simple_pinhole(focal, jnp.eye(4), *size)
+    camera = replace(Camera.simple_pinhole(focal, jnp.eye(4), *size), lens=lens)
     return Scene(f"{count:,} procedural", gaussians, camera, procedural=True)
 
 

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -92,9 +93,10 @@ def panorama(cam_from_world: Float[Array, "4 4"], width: int, height: int) -> Ca
 
 
 def as_pinhole(camera: Camera) -> Camera:
-    """Returns a pinhole camera at a camera's place, at most 90 degrees wide, for viewers that know no other.
+    """Returns a pinhole camera at a camera's place, for viewers that know no other.
 
-    A perspective keeps its focal lengths. The image of any other lens is scaled alike at its middle.
+    A perspective keeps its focal lengths. Other lenses keep theirs too, unless the image would be more than
+    90 degrees wide or high.
     """
     if isinstance(camera.lens, Pinhole) and camera.motion is None:
         return camera
@@ -163,7 +165,8 @@ def from_colmap(
     affine = (parameters[0], parameters[focals - 1], *parameters[focals : focals + 2])
     fx, fy, cx, cy = (jnp.asarray(number, cam_from_world.dtype) for number in affine)
     others = parameters[focals + 2 :]
-    return Camera(fx, fy, cx, cy, cam_from_world, width, height, lens(others))
+    known = jax.tree.map(lambda leaf: leaf.astype(cam_from_world.dtype), lens(others))
+    return Camera(fx, fy, cx, cy, cam_from_world, width, height, known)
 
 
 def to_colmap(camera: Camera) -> tuple[str, list[float]]:

@@ -27,7 +27,7 @@ def seen_at(
 def points_at(
     camera: Camera, pixels: Float[np.ndarray, "n 2"], depths: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Returns the world points of these depths that a camera sees at pixels."""
+    """Returns world points of these depths that a camera, in the middle of its exposure, sees at pixels."""
     local = _padded(_local, camera, np.column_stack([pixels, depths]))[0].astype(np.float64)
     pose = np.asarray(camera.cam_from_world, np.float64)
     return (local - pose[:3, 3]) @ pose[:3, :3]

@@ -32,6 +32,6 @@ class RollingShutter:
         self, pixel: Float[Array, "2"], width: int | Float[Array, ""], height: int | Float[Array, ""]
     ) -> Float[Array, ""]:
         """Returns when a pixel is exposed, from -1/2 to 1/2."""
-        share = pixel[0] / width if self.direction in ("right", "left") else pixel[1] / height
-        t = jnp.clip(share, 0, 1) - 0.5
+        fraction = pixel[0] / width if self.direction in ("right", "left") else pixel[1] / height
+        t = jnp.clip(fraction, 0, 1) - 0.5
         return -t if self.direction in ("up", "left") else t

@@ -132,7 +132,7 @@ class Export:
         if (
             self.simplify is not None
             and not 0 < self.simplify < 1
-            and self.simplify != max(int(self.simplify), 1)
+            and (isinstance(self.simplify, float) or self.simplify < 1)
         ):
             raise InputError(
                 f"--simplify: a fraction between 0 and 1, or a whole number from 1, not {self.simplify}."

@@ -18,6 +18,7 @@ from splatax.reconstruction import triangulation
 from splatax.runs.budget import Expected, duration, measured, plan
 from splatax.runs.planning import Deadline, Room, smaller_photos
 from splatax.splits import Listed, listed_in
+from splatax.training.camera_refinement import check_lenses
 from splatax.training.initialize import InFrusta, focus_distance
 
 MOST_LEFT_OUT = 0.5  # of the training photos that are left out
@@ -66,6 +67,8 @@ def prepared(settings: Settings, dataset: sx.Dataset, out: Path) -> tuple[Settin
         dataset: the capture.
         out: folder of the run.
     """
+    if settings.refine != "none":
+        check_lenses(settings.refine, dataset.train)
     if settings.init == "sfm" and not len(dataset.points):
         path = found_points(settings.scene, dataset.train, out, settings.seed)
         if path is None:
@@ -127,7 +130,7 @@ def planned(
         return (settings if fit == most else replace(settings, max_gaussians=fit)), dataset, None
     say("measuring the speed of this machine ...")
     camera, recipe = dataset.train[0].camera, settings.to_recipe(dataset)
-    costs = measured((camera.width, camera.height), recipe)
+    costs = measured((camera.width, camera.height), recipe, camera.lens)
     if deadline:
         settings = replace(settings, budget=f"{deadline.left(dataset):.0f}s")
     assert settings.seconds

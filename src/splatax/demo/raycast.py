@@ -35,7 +35,7 @@ class Truth(NamedTuple):
     """Exact geometry at the centre of each pixel.
 
     Attributes:
-        depth: distance along the optical axis, as `Rendering.depth` measures it; infinite without a surface.
+        depth: by the lens, as `Rendering.depth` measures it; infinite without a surface.
         normals: unit normals in the world, towards the camera; zero without a surface.
         surfaces: index into `Scene.surfaces`; -1 without a surface.
     """
@@ -69,8 +69,10 @@ def truth(camera: Camera, scene: Scene) -> Truth:
     x, y = (jnp.arange(size, dtype=jnp.float32) + 0.5 for size in (camera.width, camera.height))
     seen = look(camera, jnp.stack(jnp.meshgrid(x, y), axis=-1).reshape(-1, 2), scene)
     met, size = seen.surface >= 0, (camera.height, camera.width)
-    axis = camera.rotation[2]
-    depth = jnp.where(met, (seen.point - camera.position[None]) @ axis, jnp.inf)
+    local = jax.vmap(camera.to_camera)(
+        jnp.where(met[:, None], seen.point, camera.position + camera.rotation[2])
+    )
+    depth = jnp.where(met, jax.vmap(camera.lens.depth)(local), jnp.inf)
     normals = jnp.where(met[:, None], seen.normal, 0.0)
     return Truth(depth.reshape(size), normals.reshape(*size, 3), seen.surface.reshape(size))
 

@@ -36,7 +36,9 @@ def rise_of(function: Callable[[Array], Array], inputs: Float[Array, " m"]) -> R
         inputs: growing, from zero.
     """
     outputs, slopes = jax.jvp(function, (inputs,), (jnp.ones_like(inputs),))
-    grows = jnp.cumprod((slopes > 0) & jnp.isfinite(outputs)) > 0
+    # Behind a pole slopes are positive too, but the values begin again far below.
+    higher = jnp.append(True, outputs[1:] > outputs[:-1])
+    grows = jnp.cumprod((slopes > 0) & higher & jnp.isfinite(outputs)) > 0
     last = jnp.maximum(jnp.sum(grows) - 1, 0)
     limit = jnp.where(jnp.all(grows), jnp.inf, inputs[last])
     kept = jnp.where(grows, inputs, inputs[last]), jnp.where(grows, outputs, outputs[last]), limit

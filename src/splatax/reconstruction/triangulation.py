@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from splatax.cameras.lenses import Orthographic
 from splatax.dataset import Pixels, PointCloud, View, mask_of
 from splatax.io.datasets.colmap_writing import model_of_cameras
 from splatax.packages import required_by
@@ -41,11 +42,13 @@ def triangulated(
         watch: function that is called with the progress of each of `STAGES`.
 
     Returns:
-        The points; an empty cloud if there are fewer than two views, or nothing in them matches.
+        The points; an empty cloud if there are fewer than two views, nothing in them matches, or COLMAP has
+        no such lens (orthophotos).
     """
     import pycolmap
 
-    if len(views) < FEWEST_VIEWS:
+    parallel = any(isinstance(view.camera.lens, Orthographic) for view in views)
+    if len(views) < FEWEST_VIEWS or parallel:
         return PointCloud(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32))
     pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL.value
     with tempfile.TemporaryDirectory(prefix="splatax-") as folder:

@@ -84,7 +84,7 @@ def places(dataset: Dataset, good: Mapping[str, bool], spots: Sequence[Spot]) ->
     states = [good.get(view.name) for view in dataset.views]
     for state, color, label in (
         (None, UNSCORED, "photo"),
-        (True, MATCHED, "matched well"),
+        (True, MATCHED, "like the others"),
         (False, BAD, "matched badly"),
     ):
         rows = np.array([each is state for each in states])

@@ -104,8 +104,8 @@ def _bar(psnrs: np.ndarray) -> float:
 
 
 def _headline(psnrs: np.ndarray, unseen: bool) -> str:
-    where = "from places where no photo was taken" if unseen else "from the places of its own photos"
-    return f"Seen {where}, the scene is {grade(float(np.median(psnrs)))}."
+    whose = "photos that it had not seen" if unseen else "its own photos"
+    return f"Seen from the places of {whose}, the scene is {grade(float(np.median(psnrs)))}."
 
 
 def _good(psnrs: np.ndarray, scores: Sequence[ViewScore], unseen: bool) -> list[str]:
@@ -206,7 +206,8 @@ def _blurred(name: str, shown: dict[str, Comparison]) -> bool:
 
 
 def _hazy(comparison: Comparison) -> bool:
-    return float(comparison.image.std()) < HAZE * float(comparison.photo.std())
+    counted_in = ... if comparison.mask is None else comparison.mask
+    return float(comparison.image[counted_in].std()) < HAZE * float(comparison.photo[counted_in].std())
 
 
 def _concentrated(comparison: Comparison) -> bool:

@@ -14,6 +14,7 @@ import numpy as np
 from splatax.bench.operations import step as operation
 from splatax.bench.scenes import procedural
 from splatax.bench.timing import timed
+from splatax.cameras.lenses import Lens, Pinhole
 from splatax.training.capacity import GROWTH
 from splatax.training.recipes import COARSE, GROWING, Recipe
 
@@ -130,15 +131,16 @@ class Costs:
         return float(steps * (coarse + (COARSE - 1) * fine) / COARSE + COMPILING * programs)
 
 
-def measured(size: tuple[int, int], recipe: Recipe) -> Costs:
+def measured(size: tuple[int, int], recipe: Recipe, lens: Lens = Pinhole()) -> Costs:
     """Measures the cost of steps on procedural scenes, which takes a few seconds.
 
     Args:
         size: of the photos, width and height in pixels.
         recipe: of the run; its backend is timed.
+        lens: of the photos.
     """
-    fine, smaller = cost_of(size, recipe), coarse_size(size, recipe)
-    return Costs(fine if smaller == size else cost_of(smaller, recipe), fine)
+    fine, smaller = cost_of(size, recipe, lens), coarse_size(size, recipe)
+    return Costs(fine if smaller == size else cost_of(smaller, recipe, lens), fine)
 
 
 def coarse_size(size: tuple[int, int], recipe: Recipe) -> tuple[int, int]:
@@ -147,11 +149,11 @@ def coarse_size(size: tuple[int, int], recipe: Recipe) -> tuple[int, int]:
     return size[0] // divisor, size[1] // divisor
 
 
-def cost_of(size: tuple[int, int], recipe: Recipe) -> Cost:
-    """Returns the cost of a step with photos of a size, from two procedural scenes."""
+def cost_of(size: tuple[int, int], recipe: Recipe, lens: Lens) -> Cost:
+    """Returns the cost of a step with photos of a size by a lens, from two procedural scenes."""
     seconds = []
     for count in PROBES:
-        work = operation(procedural(count, size), recipe)
+        work = operation(procedural(count, size, lens=lens), recipe)
         timed(work)  # compiles
         seconds.append(min(timed(work) for _ in range(ROUNDS)) / 1e3)
     each = max((seconds[1] - seconds[0]) / (PROBES[1] - PROBES[0]), 0.0)

@@ -1,6 +1,7 @@
 """Corrections of the training cameras, learned together with the scene."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -10,8 +11,9 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from splatax.cameras import Camera, RollingShutter
-from splatax.cameras.lenses import OpenCV, Pinhole, opencv
+from splatax.cameras.lenses import Equirectangular, OpenCV, Orthographic, Pinhole, opencv
 from splatax.dataset import View
+from splatax.errors import InputError
 from splatax.math import rigid
 from splatax.training import per_photo
 from splatax.training.feed import sources
@@ -215,6 +217,26 @@ CAMERA_REFINEMENTS: dict[str, CameraRefinement] = {
     "shutter": Shutter(),
     "poses+shutter": Together((Shutter(), Poses())),
 }
+
+
+def check_lenses(name: str, views: Sequence[View]) -> None:
+    """Refuses a refinement that the lenses of the photos do not allow.
+
+    Args:
+        name: of the refinement, in `CAMERA_REFINEMENTS`.
+        views: the training views.
+
+    Raises:
+        InputError: if a lens has nothing to learn, or the files of the result cannot hold it.
+    """
+    fixed = Orthographic if name in ("poses", "shutter", "poses+shutter") else Orthographic | Equirectangular
+    for view in views:
+        if isinstance(view.camera.lens, fixed):
+            raise InputError(
+                f"{view.name} has the lens {type(view.camera.lens).__name__}, for which {name} cannot be "
+                "refined. Leave the cameras as they are.",
+                options=("refine",),
+            )
 
 
 def rate_for(reach: float, visits: Float[Array, ""] | float, progress: Float[Array, ""]) -> Float[Array, ""]:

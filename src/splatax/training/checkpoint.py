@@ -27,7 +27,7 @@ from splatax.training.step import TrainState
 
 HEADER = "header"  # name of the member that holds it
 STATE = "state/"  # prefix of the names of the arrays of the state
-PER_PHOTO = ("appearance/values", "cameras/values", "cameras/poses/values")  # arrays with a row per photo
+PER_PHOTO = ("appearance/values", "cameras/values", "cameras/0/values")  # arrays with a row per photo
 
 
 @dataclass(frozen=True)
@@ -132,10 +132,11 @@ def fingerprint(dataset: Dataset) -> dict[str, Any]:
     views = dataset.train + dataset.test
     sizes = [(view.name, view.camera.width, view.camera.height, view.mask is not None) for view in views]
     cameras = [np.asarray(leaf) for view in views for leaf in jax.tree.leaves(view.camera)]
+    lenses = "".join(type(view.camera.lens).__name__ for view in views)  # some have no numbers
     return {
         "photos": f"{len(dataset.train)} to train on and {len(dataset.test)} held out",
         "names, sizes and masks of photos": _digest(repr(sizes).encode()),
-        "cameras": _digest(*(array.tobytes() for array in cameras)),
+        "cameras": _digest(lenses.encode(), *(array.tobytes() for array in cameras)),
         "points": f"{len(dataset.points)}, "
         + _digest(dataset.points.positions.tobytes(), dataset.points.colors.tobytes()),
     }

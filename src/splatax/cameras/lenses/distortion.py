@@ -64,9 +64,9 @@ class Undistorted(Plane):
 class Distorted(Plane):
     """A map of the plane that is not the identity."""
 
-    RADII: ClassVar[
-        np.ndarray
-    ]  # of the coordinates, for the table of the radial part; set by the coordinates
+    # Set by the coordinates: the radii of the table of the radial part, and whether there are no more.
+    RADII: ClassVar[np.ndarray]
+    BOUNDED: ClassVar[bool]
 
     @abstractmethod
     def radial(self, radius: Float[Array, "*m"]) -> Float[Array, "*m"]:
@@ -77,8 +77,13 @@ class Distorted(Plane):
         return inversion.rise_of(self.radial, jnp.asarray(self.RADII, dtype))
 
     def straightened(self, place: Float[Array, "2"]) -> Float[Array, "2"]:
-        """Returns the coordinates of a place: the inverse of `bent`."""
-        return inversion.solved(type(self).bent, self, place, self.nearly_straightened(place))
+        """Returns the coordinates of a place: the inverse of `bent`; beyond the fold, those on it."""
+        start, rise = self.nearly_straightened(place), self.rise(place.dtype)
+        beyond = place @ place > rise.outputs[-1] ** 2
+        if not self.BOUNDED:
+            beyond &= jnp.isfinite(rise.limit)
+        inside = inversion.solved(type(self).bent, self, jnp.where(beyond, 0, place), start)
+        return jnp.where(beyond, start, inside)
 
     def nearly_straightened(self, place: Float[Array, "2"]) -> Float[Array, "2"]:
         """Returns the coordinates of a place by the table of the radial part; on its limit if beyond."""
@@ -95,6 +100,7 @@ class Slopes(Plane):
 
     PERIOD: ClassVar[float | None] = None
     CENTRAL: ClassVar[bool] = True
+    BOUNDED: ClassVar[bool] = False
     RADII: ClassVar[np.ndarray] = np.tan(np.linspace(0, 1.5, ENTRIES))
 
     def project(self, point: Float[Array, "3"]) -> Float[Array, "2"]:
@@ -144,6 +150,7 @@ class Angles(Plane):
 
     PERIOD: ClassVar[float | None] = None
     CENTRAL: ClassVar[bool] = True
+    BOUNDED: ClassVar[bool] = True
     RADII: ClassVar[np.ndarray] = np.linspace(0, np.pi, ENTRIES)
 
     def project(self, point: Float[Array, "3"]) -> Float[Array, "2"]:

@@ -77,14 +77,12 @@ def dataset_of(capture: Capture, downscale: int | None, undistort: bool) -> Data
 
 def resampled(sources: list[photos.Source], undistort: bool) -> str:
     """Returns a line about photos that are undistorted, or trained through their lenses; empty if none is."""
-    kinds = {source.camera.model.name for source in sources if not is_pinhole(source.camera)}
-    if not kinds:
-        return ""
-    strange = sum(not source.known for source in sources)
-    count = len(sources) if undistort else strange
-    if not count:
-        return f"photos as they are, through their lenses ({', '.join(sorted(kinds))})"
-    return f"{photos.counted(count)} undistorted ({', '.join(sorted(kinds))})"
+    bent = [source for source in sources if not is_pinhole(source.camera)]
+    resampled = [source for source in bent if undistort or not source.known]
+    kinds = sorted({source.camera.model.name for source in resampled or bent})
+    if resampled:
+        return f"{photos.counted(len(resampled))} undistorted ({', '.join(kinds)})"
+    return f"photos as they are, through their lenses ({', '.join(kinds)})" if bent else ""
 
 
 def parted_by_presence(capture: Capture) -> tuple[list[Frame], list[Frame]]:

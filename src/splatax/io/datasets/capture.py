@@ -23,7 +23,10 @@ Lens = Callable[[Path], "pycolmap.Camera"]  # of a photo, whose size is needed i
 
 @dataclass(frozen=True)
 class DepthMap:
-    """Depth along the optical axis of each pixel of a photo; zero where it is unknown.
+    """Depth of each pixel of a photo; zero where it is unknown.
+
+    It is that of the photo's lens: along the optical axis, or the distance from the camera for lenses that
+    map angles.
 
     Attributes:
         path: 16-bit PNG, or NumPy array in a .npy file, of the photo's proportions.

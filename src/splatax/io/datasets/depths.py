@@ -5,11 +5,11 @@ They are the initial points of a capture that has no sparse points.
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
+from splatax.cameras.geometry import points_at
 from splatax.dataset import PointCloud
 from splatax.errors import DatasetError
 from splatax.io import images
@@ -17,9 +17,6 @@ from splatax.io.damage import blamed_on
 from splatax.io.datasets import names
 from splatax.io.datasets.capture import NO_POINTS, DepthMap, cloud
 from splatax.io.datasets.photos import Source, counted
-
-if TYPE_CHECKING:
-    import pycolmap
 
 MOST_POINTS = 100_000  # of all depth maps together
 MOST_MAPS = 64  # evenly spaced over the capture; photos are decoded for their colours
@@ -68,18 +65,10 @@ def points_in(
     rows, columns = rows[::step], columns[::step]
     # COLMAP's origin is the photo's corner, so pixel centres are at halves.
     where = np.stack([(columns + 0.5) * camera.width / width, (rows + 0.5) * camera.height / height], axis=1)
-    in_camera = rays(camera, where) * distances[rows, columns, None]
-    rotation, translation = source.cam_from_world[:, :3], source.cam_from_world[:, 3]
+    positions = points_at(source.camera_as_it_is(), where, distances[rows, columns])
     pixels = images.read(source.path, upright=source.upright, divisor=source.divisor)
     colors = pixels[where[:, 1].astype(int), where[:, 0].astype(int), :3].astype(np.float64) / 255
-    return (in_camera - translation) @ rotation, colors
-
-
-def rays(camera: "pycolmap.Camera", pixels: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
-    """Returns the directions of pixels in the camera's frame, of depth 1."""
-    if not len(pixels):
-        return np.zeros((0, 3))
-    return np.column_stack([np.asarray(camera.cam_from_img(pixels)), np.ones(len(pixels))])
+    return positions, colors
 
 
 def read(depth: DepthMap, capture: Path) -> Float[np.ndarray, "h w"]:

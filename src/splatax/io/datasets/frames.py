@@ -150,6 +150,8 @@ def lens_of(fields: Fields, size: tuple[int, int]) -> "pycolmap.Camera":
     if model not in {*PERSPECTIVE, PARALLEL}:
         known = sorted([*PERSPECTIVE, FISHEYE, PANORAMA])
         raise fields.wrong("camera_model", f"one of {', '.join(known)} or {PARALLEL}")
+    if model == PARALLEL and any((k1, k2, k3, p1, p2)):
+        raise fields.wrong("k1", "zero, like all other distortion, for an orthophoto")
     if k4:
         raise fields.wrong("k4", "zero for a lens that is no fisheye")
     return lenses.perspective((width, height), (fx, fy), centre, (k1, k2, k3), (p1, p2))

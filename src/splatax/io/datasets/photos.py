@@ -83,13 +83,15 @@ class Source:
         """
         factor = max(factor / self.divisor, 1.0)
         with blamed_on(self.path, "its camera cannot be used", "Calibrate it again.", DatasetError):
+            if undistort and (self.parallel or self.camera.model.name == PANORAMA):
+                raise DatasetError(
+                    f"{self.path}: an orthophoto or a panorama cannot be undistorted. Use it as it is."
+                )
             if undistort or not self.known:
                 pinhole, straighten = undistortion(self.camera, factor)
                 camera = camera_of(pinhole, self.cam_from_world)
             else:
-                straighten = unchanged
-                camera = camera_of(self.camera, self.cam_from_world)
-                camera = replace(camera, lens=Orthographic()) if self.parallel else camera
+                straighten, camera = unchanged, self.camera_as_it_is()
         width, height = (max(1, round(side / factor)) for side in (camera.width, camera.height))
         mask = None
         if self.mask:
@@ -98,6 +100,11 @@ class Source:
         return View(
             self.name, camera.resized(width, height), partial(self.pixels, straighten, width, height), mask
         )
+
+    def camera_as_it_is(self) -> Camera:
+        """Returns the camera of the decoded photo, with its lens."""
+        camera = camera_of(self.camera, self.cam_from_world)
+        return replace(camera, lens=Orthographic()) if self.parallel else camera
 
     def pixels(self, straighten: Callable[[Pixels], Pixels], width: int, height: int) -> Pixels:
         """Decodes the photo for its view."""

@@ -41,7 +41,7 @@ def reprojection_errors(
         seen = observed_at(model.camera(image.camera_id), np.array([p.xy for p in sample]), cameras[name])
         drawn, _ = seen_at(cameras[name], points)
         apart = np.linalg.norm(drawn - seen, axis=1)[:count]
-        errors[name] = apart[np.isfinite(apart)]
+        errors[name] = np.where(np.isfinite(apart), apart, np.inf)  # a point that the camera does not see
     return errors
 
 

@@ -1,4 +1,4 @@
-"""Footprints: what the image of a 3D Gaussian is taken to be, as a 2D Gaussian.
+"""Footprints: the 2D Gaussians that stand for the images of 3D Gaussians.
 
     Ewa         pixel(x) is replaced by its tangent at the mean    (Zwicker et al. 2001; Kerbl et al. 2023)
     Unscented   pixel(x) at seven points, weighted                 (Wu et al. 2025)

@@ -1,7 +1,7 @@
 """The outputs of `render`, by name. A new output is one line of `OUTPUTS`.
 
 An output is made of sums over the splats at a pixel (`channels`), of the splats that decide the pixel
-(`selected`), or of both. What no requested output needs is not computed.
+(`selected`), or of both. Sums that no requested output needs are not computed.
 """
 
 from collections.abc import Callable, Mapping, Sequence

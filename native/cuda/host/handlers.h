@@ -1,4 +1,4 @@
-// What the handlers of all XLA custom calls share: the GPU's queue, scratch memory, and errors.
+// Shared by the handlers of all XLA custom calls: the GPU's queue, scratch memory, and errors.
 #pragma once
 
 #include <cstdlib>

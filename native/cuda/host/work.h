@@ -1,4 +1,4 @@
-// What one call of XLA does on the GPU: launches, scratch memory and counts that the host must know.
+// The work of one call of XLA on the GPU: launches, scratch memory and counts that the host must know.
 #pragma once
 
 #include <algorithm>

@@ -70,7 +70,7 @@ struct ImageGradient {
   int first;                      // first channel
 };
 
-// What the pairs of a round contribute to the gradients of their splats.
+// Contributions of the pairs of a round to the gradients of their splats.
 struct PairRecords {
   float* records;    // [pair][RECORD]
   uint8_t* written;  // [pair] 0 where the splat is not drawn in the tile

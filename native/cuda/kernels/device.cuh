@@ -1,4 +1,4 @@
-// What all kernels share. NVRTC compiles the kernels for GPUs, without any CUDA header; any C++17 compiler
+// Shared by all kernels. NVRTC compiles the kernels for GPUs, without any CUDA header; any C++17 compiler
 // compiles them for the host with native/emulation/language.h.
 //
 // Rules for kernels: results do not depend on the order in which blocks or warps run, so no two threads add

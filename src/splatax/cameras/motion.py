@@ -16,7 +16,7 @@ class RollingShutter:
     """A camera that moves evenly while its rows, or columns, are exposed one after another.
 
     `Camera.cam_from_world` is the pose at the middle of the exposure. At time t, from -1/2 for the first row
-    to 1/2 for the last, it is exp(t twist) cam_from_world. What lies beside the image is seen at the time of
+    to 1/2 for the last, it is exp(t twist) cam_from_world. Points beside the image are seen at the time of
     the nearest row.
 
     Attributes:

@@ -9,12 +9,14 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import splatax as sx
+from scenes import random_gaussians
 from shortened import shortened
 from splatax.errors import FormatError
 from splatax.training import checkpoint
+from splatax.training.camera_refinement import CAMERA_REFINEMENTS
 from splatax.training.density import NoDensityControl
 from splatax.training.feed import order
-from splatax.training.loop import optimize
+from splatax.training.loop import RunState, first_state, optimize
 from splatax.training.recipes import PRESETS
 from training.test_training import capture
 
@@ -85,6 +87,18 @@ def test_header_and_other_arrays_come_back(whole, tmp_path):
     assert (back.header, back.step) == (taken.header, 4)
     assert list(back.arrays) == list(taken.arrays)
     assert_array_equal(back.arrays["history/losses"], [0, 1, 2])
+
+
+@pytest.mark.parametrize("name", CAMERA_REFINEMENTS)
+def test_every_refinement_of_cameras_comes_back(dataset, name):
+    recipe = replace(shortened("classic"), camera_refinement=CAMERA_REFINEMENTS[name])
+    gaussians = random_gaussians(n=5, degree=recipe.sh.degree)
+    train = first_state(gaussians, recipe, 1.0, len(dataset.train))
+    taken = checkpoint.take(RunState(train, 5), {}, {})
+    back = checkpoint.restore(taken, recipe).train.cameras
+    assert jax.tree.structure(back) == jax.tree.structure(train.cameras)
+    for a, b in zip(jax.tree.leaves(back), jax.tree.leaves(train.cameras), strict=True):
+        assert_array_equal(a, b)
 
 
 # --- damage ---

@@ -44,7 +44,7 @@ def test_a_step_without_a_finite_loss_changes_no_gaussian_and_is_counted(name):
             bad += 1
             if before is not None and not refined:
                 for old, new in zip(jax.tree.leaves(before), jax.tree.leaves(now), strict=True):
-                    np.testing.assert_allclose(new, old, rtol=2e-7)  # quaternions are normalized again
+                    np.testing.assert_allclose(new, old, rtol=5e-7)  # quaternions are normalized again
         before = now
     assert 0 < bad < progress.step
     assert int(progress.faults.steps) == bad

@@ -37,7 +37,7 @@ class Settings:
 
     @property
     def portable(self) -> Callable[[tuple[Array, ...], Array], tuple[Array, ...]]:
-        """What the kernels compute, by plain JAX."""
+        """The computation of the kernels, by plain JAX."""
         return partial(pinholes.project, (self.width, self.height), self.low_pass)
 
     def options(self) -> dict[str, np.int64 | np.float32]:

@@ -234,7 +234,7 @@ def test_pull_equals_the_reference_and_leaves_the_other_gradients(fast, channels
     cotangents = random_cotangents(scene, channels)
     with_pull = gradients(watched(scene), values, cotangents, fast)
     for name, value in gradients(scene, values, cotangents, fast).items():
-        assert_allclose(with_pull[name], value, atol=1e-6 * np.abs(value).max(), err_msg=name)
+        assert_allclose(with_pull[name], value, atol=2e-6 * np.abs(value).max(), err_msg=name)
 
 
 def test_pull_of_thousands_of_splats_in_one_tile(fast):

@@ -278,7 +278,7 @@ def test_every_ray_is_seen_at_its_pixel(x64, lens, motion):
 
 def test_behind_the_pole_of_a_rational_distortion_nothing_is_seen(x64):
     """r / (1 - 0.5 r^2) grows everywhere, but begins again at minus infinity behind r = 1.41."""
-    lens = lenses.opencv(0, 0, 0, 0, 0, -0.5, dtype="float64")
+    lens = lenses.opencv(0.0, 0.0, 0.0, 0.0, 0.0, -0.5, dtype="float64")
     seen = [bool(lens.sees(jnp.array([radius, 0.0, 1.0]))) for radius in (0.5, 1.3, 1.5, 3.0)]
     assert seen == [True, True, False, False]
 

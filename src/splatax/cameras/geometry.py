@@ -58,17 +58,22 @@ def _local(camera: Camera, rows: Float[Array, "n 3"]) -> tuple[Float[Array, "n 3
     return (jax.vmap(lambda row: camera.to_point(row[:2], row[2]))(rows),)
 
 
+def ray(camera: Camera, pixel: Float[Array, "2"]) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+    """Returns origin and direction of the ray through a pixel: a world point and a unit vector in the world.
+
+    Rays of a camera that moves start where it stands when the pixel's row is exposed.
+    """
+    here = camera
+    if camera.motion is not None:
+        here = camera.at(camera.motion.time(pixel, camera.width, camera.height))
+    near, far = (here.to_point(pixel, jnp.asarray(depth, pixel.dtype)) for depth in (0.0, 1.0))
+    direction = here.rotation.T @ (far - near)
+    return here.position + here.rotation.T @ near, direction / jnp.linalg.norm(direction)
+
+
 @jax.jit
 def rays(camera: Camera) -> Float[Array, "h w 3"]:
     """Returns the directions in the world, unit vectors, in which the centres of a camera's pixels look."""
 
-    def one(pixel):
-        here = camera
-        if camera.motion is not None:
-            here = camera.at(camera.motion.time(pixel, camera.width, camera.height))
-        near, far = (here.to_point(pixel, jnp.asarray(depth, pixel.dtype)) for depth in (0.0, 1.0))
-        direction = here.rotation.T @ (far - near)
-        return direction / jnp.sqrt(direction @ direction)
-
     x, y = (jnp.arange(side, dtype=camera.fx.dtype) + 0.5 for side in (camera.width, camera.height))
-    return jax.vmap(jax.vmap(one))(jnp.stack(jnp.meshgrid(x, y), axis=-1))
+    return jax.vmap(jax.vmap(lambda pixel: ray(camera, pixel)[1]))(jnp.stack(jnp.meshgrid(x, y), axis=-1))

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int32, UInt8
 
 from splatax.cameras import Camera
+from splatax.cameras.geometry import ray
 from splatax.demo.scene import Scene
 from splatax.demo.shapes import Point
 
@@ -82,12 +83,8 @@ def look(camera: Camera, pixels: Float[Array, "n 2"], scene: Scene) -> Seen:
     """Casts one ray through each of the pixel coordinates."""
 
     def one(pixel: Float[Array, "2"]) -> Seen:
-        time = camera.motion.time(pixel, camera.width, camera.height) if camera.motion else jnp.zeros(())
-        here = camera.at(time)
-        near, far = (here.to_point(pixel, jnp.asarray(depth, pixel.dtype)) for depth in (0.0, 1.0))
-        direction = here.rotation.T @ (far - near)
-        origin = here.position + here.rotation.T @ near  # which is not the camera's for parallel rays
-        return trace(origin, direction / jnp.linalg.norm(direction), scene)
+        origin, direction = ray(camera, pixel)
+        return trace(origin, direction, scene)
 
     return jax.vmap(one)(pixels)
 

@@ -1,13 +1,14 @@
 """Models of the differences in exposure and white balance between photos."""
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from splatax.training import per_photo
-from splatax.training.per_photo import NoParameters, PerPhoto
+from splatax.training.per_photo import NoParameters, PerPhoto, PerView
 from splatax.training.protocols import Appearance, Source
 
 
@@ -23,7 +24,7 @@ class NoAppearance(NoParameters):
 
 
 @dataclass(frozen=True)
-class Exposure:
+class Exposure(PerView):
     """Learns an affine map of colours for each photo, c' = (I + D) c + d.
 
     The map applies to the scene and not to the background behind it. The mean of the maps over the
@@ -31,16 +32,9 @@ class Exposure:
     are those of the authors' code of Kerbl et al. 2023.
     """
 
+    WIDTH: ClassVar[int] = 12  # [D | d], row by row
     rate: float = 0.01  # learning rate at the start
     rate_final: float = 0.001  # learning rate at the end; log-linear between
-
-    def init(self, photos: int) -> PerPhoto:
-        """Returns identity maps: a row holds [D | d], row by row."""
-        return per_photo.zeros(photos, 12)
-
-    def for_photo(self, state: PerPhoto, source: Source) -> Float[Array, "12"]:
-        """Returns the map of one photo."""
-        return state.values[source.view]
 
     @jax.default_matmul_precision("highest")
     def __call__(

@@ -17,7 +17,7 @@ from splatax.errors import InputError
 from splatax.math import rigid
 from splatax.training import per_photo
 from splatax.training.feed import sources
-from splatax.training.per_photo import NoParameters, PerPhoto
+from splatax.training.per_photo import NoParameters, PerPhoto, PerView
 from splatax.training.protocols import CameraRefinement, Source
 
 FINAL_RATE = 0.01  # learning rate at the end, as a fraction of that at the start (as in gsplat)
@@ -33,7 +33,7 @@ class FixedCameras(NoParameters):
 
 
 @dataclass(frozen=True)
-class Poses:
+class Poses(PerView):
     """Learns a twist for each training camera, multiplied to `cam_from_world` from the left.
 
     A twist turns a camera about its own centre and translates it. Its six numbers are along the axes of
@@ -43,15 +43,8 @@ class Poses:
     others follow the error of that camera.
     """
 
+    WIDTH: ClassVar[int] = 6  # a rotation and a translation
     reach: float = 0.02  # length of all steps of a camera in a run together: radians, extents of the scene
-
-    def init(self, photos: int) -> PerPhoto:
-        """Returns the cameras as given: a row holds a rotation and a translation, all zero."""
-        return per_photo.zeros(photos, 6)
-
-    def for_photo(self, state: PerPhoto, source: Source) -> Float[Array, "6"]:
-        """Returns the twist of one photo's camera."""
-        return state.values[source.view]
 
     @jax.default_matmul_precision("highest")
     def __call__(self, parameters: Float[Array, "6"], camera: Camera, extent: Float[Array, ""]) -> Camera:
@@ -137,21 +130,14 @@ class Distortion(PerLens):
 
 
 @dataclass(frozen=True)
-class Shutter:
+class Shutter(PerView):
     """Learns the motion of each training camera during its exposure: a rolling shutter that goes downwards.
 
     The six numbers are those of `RollingShutter.twist`, with the translation in extents of the scene.
     """
 
+    WIDTH: ClassVar[int] = 6
     reach: float = 0.02  # length of all steps of a camera in a run together: radians, extents of the scene
-
-    def init(self, photos: int) -> PerPhoto:
-        """Returns cameras that do not move."""
-        return per_photo.zeros(photos, 6)
-
-    def for_photo(self, state: PerPhoto, source: Source) -> Float[Array, "6"]:
-        """Returns the motion of one photo's camera."""
-        return state.values[source.view]
 
     def __call__(self, parameters: Float[Array, "6"], camera: Camera, extent: Float[Array, ""]) -> Camera:
         """Adds the motion to a camera, and to the motion that it was given with."""

@@ -1,7 +1,7 @@
 """Parameters of each training photo, learned by an Adam that keeps a state of its own for every photo."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -49,6 +49,20 @@ class NoParameters:
     ) -> Any:
         """Returns the state unchanged."""
         return state
+
+
+class PerView:
+    """Learns numbers of each photo, all zero at the start."""
+
+    WIDTH: ClassVar[int]  # how many numbers a photo has
+
+    def init(self, photos: int) -> PerPhoto:
+        """Returns the table before the first step."""
+        return zeros(photos, self.WIDTH)
+
+    def for_photo(self, state: PerPhoto, source: Source) -> Float[Array, " width"]:
+        """Returns the numbers of one photo."""
+        return state.values[source.view]
 
 
 def zeros(photos: int, width: int) -> PerPhoto:

@@ -5,11 +5,12 @@ Results do not depend on the number of threads. Single precision only.
 
 from functools import partial
 
+from splatax.backends import fused_loss, pinholes
 from splatax.backends.cpu import library
 from splatax.backends.cpu.composite import MAX_PAIRS, composite, select
 from splatax.backends.cpu.library import ALL_THREADS, Build
-from splatax.backends.cpu.photometric import photometric
-from splatax.backends.cpu.projection import project
+from splatax.backends.cpu.photometric import with_gradient
+from splatax.backends.cpu.projection import NativeProjection
 from splatax.backends.protocol import Kernels
 
 
@@ -26,10 +27,10 @@ def kernels(
     build = Build(instructions, threads)
     return Kernels(
         name="cpu" if instructions is None else f"cpu-{instructions}",
-        project=partial(project, build=build),
+        project=partial(pinholes.project, kernel=NativeProjection(build)),
         composite=partial(composite, build=build, max_pairs=max_pairs),
         select=partial(select, build=build, max_pairs=max_pairs),
-        photometric=partial(photometric, build=build),
+        photometric=partial(fused_loss.photometric, kernel=partial(with_gradient, build=build)),
         why_unavailable=partial(library.why_unavailable, instructions),
         dtypes=("float32",),
     )

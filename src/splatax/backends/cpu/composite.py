@@ -1,6 +1,6 @@
 """The native rasterizer and its gradient; see `splatax.backends.reference` for what it computes."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import jax
@@ -10,8 +10,9 @@ from jaxtyping import Array, Float
 
 from splatax.backends.cpu.library import Build
 from splatax.backends.linear import Dims, linear_call
-from splatax.backends.portable.composite import DERIVATIVE, backward, directions, forward
+from splatax.backends.portable.composite import DERIVATIVE, directions, forward
 from splatax.backends.protocol import Selection
+from splatax.backends.splat_kernels import gradient_shapes, gradients_of, inputs_of, second_derivative
 from splatax.splats import Splats
 
 MAX_PULLED_CHANNELS = 16  # NARROW_WALK in native/: with more, no pixel's whole gradient is ever known
@@ -94,7 +95,7 @@ def _push(point, tangents: tuple[Array, ...], build: Build, max_pairs: int) -> t
         build.call(
             "splatax_rasterize_tangent",
             [(*size, channels.shape[1]), size],
-            [*_inputs(splats, channels), *tangents],
+            [*inputs_of(splats, channels), *tangents],
             batches=True,
             max_pairs=np.int64(max_pairs),
         )
@@ -112,24 +113,20 @@ def _(build: Build, max_pairs: int, primals, tangents):
 
 @partial(jax.custom_jvp, nondiff_argnums=(2, 3))
 def _pull_back(residuals, cotangents, build: Build, max_pairs: int):
-    return _backward(build, max_pairs, residuals, cotangents)
+    splats, channels, *image = residuals
+    arrays = build.call(
+        "splatax_rasterize_backward",
+        gradient_shapes(splats, channels),
+        [*inputs_of(splats, channels), *image, *cotangents],
+        batches=True,
+        max_pairs=np.int64(max_pairs),
+    )
+    return gradients_of(splats, arrays)
 
 
 @_pull_back.defjvp
 def _(build: Build, max_pairs: int, primals, tangents):
-    # Second derivatives come from the portable kernel, which JAX differentiates. The image is a function of
-    # the splats, so its own tangent is not used.
-    (splats, channels, *_), cotangents = primals
-    (d_splats, d_channels, *_), d_cotangents = tangents
-
-    def gradient(moving, cotangents):
-        means2d, sqrt_conics, opacities, channels = moving
-        moved = replace(splats, means2d=means2d, sqrt_conics=sqrt_conics, opacities=opacities)
-        return backward(forward(moved, channels)[1], cotangents)
-
-    point = directions(splats, channels)[:4], cotangents
-    _, out = jax.jvp(gradient, point, (directions(d_splats, d_channels)[:4], d_cotangents))
-    return _pull_back(*primals, build, max_pairs), out
+    return _pull_back(*primals, build, max_pairs), second_derivative(primals, tangents)
 
 
 def _draw(
@@ -141,32 +138,12 @@ def _draw(
     sums, alpha, ticket = build.call(
         "splatax_rasterize_forward",
         [(*size, channels.shape[1]), size, ticket_type],
-        _inputs(splats, channels),
+        inputs_of(splats, channels),
         batches=True,
         max_pairs=np.int64(max_pairs),
         gradient_follows=np.int64(gradient_follows),
     )
     return sums, alpha, ticket
-
-
-def _backward(build: Build, max_pairs: int, residuals, cotangents):
-    splats, channels, *image = residuals
-    shapes = [splats.means2d.shape, splats.sqrt_conics.shape, splats.opacities.shape, channels.shape]
-    means2d, sqrt_conics, opacities, d_channels, pull = build.call(
-        "splatax_rasterize_backward",
-        [*shapes, (0, 2) if splats.pull is None else splats.pull.shape],  # empty where not asked for
-        [*_inputs(splats, channels), *image, *cotangents],
-        batches=True,
-        max_pairs=np.int64(max_pairs),
-    )
-    nothing = jax.tree.map(jnp.zeros_like, splats)
-    d_splats = replace(nothing, means2d=means2d, sqrt_conics=sqrt_conics, opacities=opacities)
-    return replace(d_splats, pull=None if splats.pull is None else pull), d_channels
-
-
-def _inputs(splats: Splats, channels: Float[Array, "n c"]) -> list[Array]:
-    shape = [splats.means2d, splats.sqrt_conics, splats.depths, splats.extents, splats.opacities]
-    return [*shape, channels]
 
 
 def select(splats: Splats, count: int, build: Build, max_pairs: int) -> Selection:
@@ -179,7 +156,7 @@ def select(splats: Splats, count: int, build: Build, max_pairs: int) -> Selectio
             (*size, count),
             jax.ShapeDtypeStruct(size, jnp.int32),
         ],
-        _inputs(splats, splats.colors),
+        inputs_of(splats, splats.colors),
         batches=True,
         max_pairs=np.int64(max_pairs),
     )

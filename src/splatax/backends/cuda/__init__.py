@@ -8,11 +8,12 @@ the CPU, where the same handlers and kernels run under an emulation.
 from collections.abc import Callable
 from functools import partial
 
+from splatax.backends import fused_loss, pinholes
 from splatax.backends.cuda import nvidia
 from splatax.backends.cuda.composite import MAX_PAIRS, composite
 from splatax.backends.cuda.library import Library
-from splatax.backends.cuda.photometric import photometric
-from splatax.backends.cuda.projection import project
+from splatax.backends.cuda.photometric import with_gradient
+from splatax.backends.cuda.projection import GpuProjection
 from splatax.backends.portable.select import select
 from splatax.backends.protocol import Kernels
 
@@ -33,10 +34,10 @@ def kernels(
     """
     return Kernels(
         name=name,
-        project=partial(project, library=library),
+        project=partial(pinholes.project, kernel=GpuProjection(library)),
         composite=partial(composite, library=library, max_pairs=max_pairs),
         select=select,
-        photometric=partial(photometric, library=library),
+        photometric=partial(fused_loss.photometric, kernel=partial(with_gradient, library=library)),
         why_unavailable=why_unavailable,
         dtypes=("float32",),
     )

@@ -1,6 +1,6 @@
 """The rasterizer on the GPU and its gradient; see `splatax.backends.reference` for what it computes."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import jax
@@ -11,12 +11,11 @@ from jaxtyping import Array, Float
 from splatax.backends.cuda.library import Library
 from splatax.backends.foreign import Shape
 from splatax.backends.linear import Dims, linear_call
-from splatax.backends.portable.composite import DERIVATIVE, backward, directions, forward
+from splatax.backends.portable.composite import DERIVATIVE, directions, forward
+from splatax.backends.splat_kernels import gradient_shapes, gradients_of, inputs_of, second_derivative
 from splatax.splats import Splats
 
-MAX_PAIRS = (
-    2**22
-)  # (splat, tile) pairs in a round; with the gradient 200 MB at 1080p, however large the scene
+MAX_PAIRS = 2**22  # (splat, tile) pairs in a round: with the gradient 200 MB at 1080p
 MAX_PULLED_CHANNELS = 4  # with more, no kernel ever knows the whole gradient of a pixel
 TILE, PIXELS, CHUNK = 16, 256, 128  # as in native/cuda/kernels/arguments.cuh
 
@@ -112,42 +111,22 @@ def _draw(
         jax.ShapeDtypeStruct((words,), jnp.uint32),
         (floats,),
     ]
-    inputs = _inputs(splats, channels)
+    inputs = inputs_of(splats, channels)
     return tuple(library.call("splatax_cuda_rasterize", shapes, inputs, max_pairs=np.int64(max_pairs)))
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(2, 3))
 def _pull_back(residuals, cotangents, library: Library, max_pairs: int):
     splats, channels, sums, alpha, words, checkpoints = residuals
-    shapes = [splats.means2d.shape, splats.sqrt_conics.shape, splats.opacities.shape, channels.shape]
-    means2d, sqrt_conics, opacities, d_channels, pull = library.call(
+    arrays = library.call(
         "splatax_cuda_rasterize_gradient",
-        [*shapes, (0, 2) if splats.pull is None else splats.pull.shape],  # empty where not asked for
-        [*_inputs(splats, channels), sums, alpha, *cotangents, checkpoints, words],
+        gradient_shapes(splats, channels),
+        [*inputs_of(splats, channels), sums, alpha, *cotangents, checkpoints, words],
         max_pairs=np.int64(max_pairs),
     )
-    nothing = jax.tree.map(jnp.zeros_like, splats)
-    d_splats = replace(nothing, means2d=means2d, sqrt_conics=sqrt_conics, opacities=opacities)
-    return replace(d_splats, pull=None if splats.pull is None else pull), d_channels
+    return gradients_of(splats, arrays)
 
 
 @_pull_back.defjvp
 def _(library: Library, max_pairs: int, primals, tangents):
-    # Second derivatives come from the portable kernel, which JAX differentiates. The image is a function of
-    # the splats, so its own tangent is not used.
-    (splats, channels, *_), cotangents = primals
-    (d_splats, d_channels, *_), d_cotangents = tangents
-
-    def gradient(moving, cotangents):
-        means2d, sqrt_conics, opacities, channels = moving
-        moved = replace(splats, means2d=means2d, sqrt_conics=sqrt_conics, opacities=opacities)
-        return backward(forward(moved, channels)[1], cotangents)
-
-    point = directions(splats, channels)[:4], cotangents
-    _, out = jax.jvp(gradient, point, (directions(d_splats, d_channels)[:4], d_cotangents))
-    return _pull_back(*primals, library, max_pairs), out
-
-
-def _inputs(splats: Splats, channels: Float[Array, "n c"]) -> list[Array]:
-    shape = [splats.means2d, splats.sqrt_conics, splats.depths, splats.extents, splats.opacities]
-    return [*shape, channels]
+    return _pull_back(*primals, library, max_pairs), second_derivative(primals, tangents)

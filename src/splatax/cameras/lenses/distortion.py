@@ -79,7 +79,7 @@ class Distorted(Plane):
     def straightened(self, place: Float[Array, "2"]) -> Float[Array, "2"]:
         """Returns the coordinates of a place: the inverse of `bent`; beyond the fold, those on it."""
         start, rise = self.nearly_straightened(place), self.rise(place.dtype)
-        beyond = place @ place > rise.outputs[-1] ** 2
+        beyond = jnp.sum(place * place) > rise.outputs[-1] ** 2
         if not self.BOUNDED:
             beyond &= jnp.isfinite(rise.limit)
         inside = inversion.solved(type(self).bent, self, jnp.where(beyond, 0, place), start)
@@ -87,12 +87,12 @@ class Distorted(Plane):
 
     def nearly_straightened(self, place: Float[Array, "2"]) -> Float[Array, "2"]:
         """Returns the coordinates of a place by the table of the radial part; on its limit if beyond."""
-        radius = jnp.sqrt(jnp.maximum(place @ place, jnp.finfo(place.dtype).tiny))
+        radius = jnp.sqrt(jnp.maximum(jnp.sum(place * place), jnp.finfo(place.dtype).tiny))
         return place * (self.rise(place.dtype).inverse(radius) / radius)
 
     def unfolded(self, coordinates: Float[Array, "2"]) -> Bool[Array, ""]:
         """Returns whether coordinates lie inside of where the radial part folds."""
-        return coordinates @ coordinates < self.rise(coordinates.dtype).limit ** 2
+        return jnp.sum(coordinates * coordinates) < self.rise(coordinates.dtype).limit ** 2
 
 
 class Slopes(Plane):
@@ -160,7 +160,7 @@ class Angles(Plane):
     def unproject(self, place: Float[Array, "2"], depth: Float[Array, ""]) -> Float[Array, "3"]:
         """Returns the point at this distance from the camera at a place."""
         angles = self.straightened(place)
-        squared = angles @ angles
+        squared = jnp.sum(angles * angles)
         off = squared > 0
         angle = jnp.sqrt(jnp.where(off, squared, 1))
         sideways = jnp.where(off, jnp.sin(angle) / angle, 1) * angles
@@ -172,8 +172,8 @@ class Angles(Plane):
 
     def sees(self, point: Float[Array, "3"]) -> Bool[Array, ""]:
         """Returns whether a point is neither at the camera, nor exactly behind it, nor folded."""
-        squared = point @ point
-        aside = point[:2] @ point[:2]
+        squared = jnp.sum(point * point)
+        aside = jnp.sum(point[:2] * point[:2])
         seen = (squared > NEAR**2) & jnp.isfinite(squared) & ((point[2] > 0) | (aside > 1e-4 * squared))
         return seen & self.unfolded(angles_of(jnp.where(seen, point, jnp.array([0, 0, 1], point.dtype))))
 
@@ -184,9 +184,31 @@ class Angles(Plane):
         return point
 
 
+def polynomial(coefficients: Float[Array, " k"], x: Float[Array, "*m"]) -> Float[Array, "*m"]:
+    """Returns 1 + c1 x + c2 x^2 + ..., by Horner's rule."""
+    value = jnp.zeros_like(x)
+    for coefficient in coefficients[::-1]:
+        value = (value + coefficient) * x
+    return 1 + value
+
+
+def tangential(coefficients: Float[Array, "2"], coordinates: Float[Array, "2"]) -> Float[Array, "2"]:
+    """Returns the tangential distortion (2 p1 u v + p2 (q + 2 u^2), p1 (q + 2 v^2) + 2 p2 u v)."""
+    u, v = coordinates
+    p1, p2 = coefficients
+    q = u * u + v * v
+    return jnp.array([2 * p1 * u * v + p2 * (q + 2 * u * u), p1 * (q + 2 * v * v) + 2 * p2 * u * v])
+
+
+def quartic_prism(coefficients: Float[Array, "4"], q: Float[Array, ""]) -> Float[Array, "2"]:
+    """Returns the thin-prism distortion (s1 q + s2 q^2, s3 q + s4 q^2)."""
+    s1, s2, s3, s4 = coefficients
+    return q * jnp.array([s1 + q * s2, s3 + q * s4])
+
+
 def angles_of(point: Float[Array, "3"]) -> Float[Array, "2"]:
     """Returns the angle of a point from the z axis, radians, times the direction of its (x, y)."""
-    squared, z = point[:2] @ point[:2], point[2]
+    squared, z = jnp.sum(point[:2] * point[:2]), point[2]
     near = (z > 0) & (squared < SMALL * z * z)
     t = jnp.where(near, squared, 0) / jnp.where(near, z * z, 1)
     series = (1 - t / 3 + t * t / 5 - t * t * t / 7) / jnp.where(near, z, 1)

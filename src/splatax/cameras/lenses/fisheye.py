@@ -6,12 +6,22 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from splatax.cameras.lenses.distortion import Angles, Distorted
+from splatax.cameras.lenses.distortion import Angles, Distorted, polynomial, quartic_prism, tangential
+
+
+class EvenPowers(Distorted, Angles):
+    """Radial distortion of angles by even powers, t (1 + k1 t^2 + k2 t^4 + ...)."""
+
+    radials: Float[Array, " k"]
+
+    def radial(self, radius: Float[Array, "*m"]) -> Float[Array, "*m"]:
+        """Returns distorted angles from the axis, by the radial part."""
+        return radius * polynomial(self.radials, radius * radius)
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Fisheye(Distorted, Angles):
+class Fisheye(EvenPowers):
     """Fisheye of Kannala and Brandt (2006), as in OpenCV and COLMAP's OPENCV_FISHEYE.
 
         t' = t (1 + k1 t^2 + k2 t^4 + k3 t^6 + k4 t^8)        for the angle t from the axis
@@ -24,16 +34,12 @@ class Fisheye(Distorted, Angles):
 
     def bent(self, coordinates: Float[Array, "2"]) -> Float[Array, "2"]:
         """Returns distorted angles."""
-        return coordinates * polynomial(self.radials, coordinates @ coordinates)
-
-    def radial(self, radius: Float[Array, "*m"]) -> Float[Array, "*m"]:
-        """Returns distorted angles from the axis."""
-        return radius * polynomial(self.radials, radius * radius)
+        return coordinates * polynomial(self.radials, jnp.sum(coordinates * coordinates))
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class ThinPrismFisheye(Distorted, Angles):
+class ThinPrismFisheye(EvenPowers):
     """Fisheye with tangential and thin-prism distortion, COLMAP's THIN_PRISM_FISHEYE.
 
     With angles (u, v) and q = u^2 + v^2:
@@ -53,18 +59,14 @@ class ThinPrismFisheye(Distorted, Angles):
 
     def bent(self, coordinates: Float[Array, "2"]) -> Float[Array, "2"]:
         """Returns distorted angles."""
-        q = coordinates @ coordinates
+        q = jnp.sum(coordinates * coordinates)
         straight = coordinates * polynomial(self.radials, q)
         return straight + tangential(self.tangentials, coordinates) + q * self.prism
-
-    def radial(self, radius: Float[Array, "*m"]) -> Float[Array, "*m"]:
-        """Returns distorted angles from the axis, by the radial part."""
-        return radius * polynomial(self.radials, radius * radius)
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class RadTanThinPrismFisheye(Distorted, Angles):
+class RadTanThinPrismFisheye(EvenPowers):
     """Fisheye of Project Aria ("Fisheye624"), COLMAP's RAD_TAN_THIN_PRISM_FISHEYE.
 
     Radial distortion comes first; tangential and thin-prism distortion are those of its result (u, v):
@@ -84,14 +86,9 @@ class RadTanThinPrismFisheye(Distorted, Angles):
 
     def bent(self, coordinates: Float[Array, "2"]) -> Float[Array, "2"]:
         """Returns distorted angles."""
-        first = coordinates * polynomial(self.radials, coordinates @ coordinates)
-        q = first @ first
-        s1, s2, s3, s4 = self.prism
-        return first + tangential(self.tangentials[::-1], first) + q * jnp.array([s1 + q * s2, s3 + q * s4])
-
-    def radial(self, radius: Float[Array, "*m"]) -> Float[Array, "*m"]:
-        """Returns distorted angles from the axis, by the radial part."""
-        return radius * polynomial(self.radials, radius * radius)
+        first = coordinates * polynomial(self.radials, jnp.sum(coordinates * coordinates))
+        q = jnp.sum(first * first)
+        return first + tangential(self.tangentials[::-1], first) + quartic_prism(self.prism, q)
 
 
 @jax.tree_util.register_dataclass
@@ -113,7 +110,7 @@ class FTheta(Distorted, Angles):
 
     def bent(self, coordinates: Float[Array, "2"]) -> Float[Array, "2"]:
         """Returns angles mapped to the radius on the image."""
-        squared = coordinates @ coordinates
+        squared = jnp.sum(coordinates * coordinates)
         off = squared > 0
         angle = jnp.sqrt(jnp.where(off, squared, 1))
         return coordinates * jnp.where(off, polynomial(self.powers, angle), 1)
@@ -122,19 +119,3 @@ class FTheta(Distorted, Angles):
         """Returns radii on the image; it stops growing at the widest angle."""
         inside = jnp.minimum(radius, self.widest)
         return inside * polynomial(self.powers, inside)
-
-
-def polynomial(coefficients: Float[Array, " k"], x: Float[Array, "*m"]) -> Float[Array, "*m"]:
-    """Returns 1 + c1 x + c2 x^2 + ..., by Horner's rule."""
-    value = jnp.zeros_like(x)
-    for coefficient in coefficients[::-1]:
-        value = (value + coefficient) * x
-    return 1 + value
-
-
-def tangential(coefficients: Float[Array, "2"], coordinates: Float[Array, "2"]) -> Float[Array, "2"]:
-    """Returns the tangential distortion (2 p1 u v + p2 (q + 2 u^2), p1 (q + 2 v^2) + 2 p2 u v)."""
-    u, v = coordinates
-    p1, p2 = coefficients
-    q = u * u + v * v
-    return jnp.array([2 * p1 * u * v + p2 * (q + 2 * u * u), p1 * (q + 2 * v * v) + 2 * p2 * u * v])

@@ -7,7 +7,14 @@ import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
-from splatax.cameras.lenses.distortion import Distorted, Slopes, Undistorted
+from splatax.cameras.lenses.distortion import (
+    Distorted,
+    Slopes,
+    Undistorted,
+    polynomial,
+    quartic_prism,
+    tangential,
+)
 
 
 @jax.tree_util.register_dataclass
@@ -39,25 +46,16 @@ class OpenCV(Distorted, Slopes):
 
     def bent(self, coordinates: Float[Array, "2"]) -> Float[Array, "2"]:
         """Returns distorted slopes."""
-        x, y = coordinates
-        q = x * x + y * y
-        p1, p2 = self.tangentials
-        s1, s2, s3, s4 = self.prism
-        f = self._factor(q)
-        return jnp.array(
-            [
-                x * f + 2 * p1 * x * y + p2 * (q + 2 * x * x) + q * (s1 + q * s2),
-                y * f + p1 * (q + 2 * y * y) + 2 * p2 * x * y + q * (s3 + q * s4),
-            ]
-        )
+        q = jnp.sum(coordinates * coordinates)
+        straight = coordinates * self._factor(q)
+        return straight + tangential(self.tangentials, coordinates) + quartic_prism(self.prism, q)
 
     def radial(self, radius: Float[Array, "*m"]) -> Float[Array, "*m"]:
         """Returns distorted radii."""
         return radius * self._factor(radius * radius)
 
     def _factor(self, q: Float[Array, "*m"]) -> Float[Array, "*m"]:
-        k1, k2, k3, k4, k5, k6 = self.radials
-        return (1 + q * (k1 + q * (k2 + q * k3))) / (1 + q * (k4 + q * (k5 + q * k6)))
+        return polynomial(self.radials[:3], q) / polynomial(self.radials[3:], q)
 
 
 def opencv(*coefficients: float, dtype: DTypeLike = "float32") -> OpenCV:
@@ -87,7 +85,7 @@ class FieldOfView(Distorted, Slopes):
 
     def bent(self, coordinates: Float[Array, "2"]) -> Float[Array, "2"]:
         """Returns distorted slopes."""
-        squared = coordinates @ coordinates
+        squared = jnp.sum(coordinates * coordinates)
         off = squared > 0
         radius = jnp.sqrt(jnp.where(off, squared, 1))
         return coordinates * jnp.where(off, self.radial(radius) / radius, self._stretch() / self.angle)

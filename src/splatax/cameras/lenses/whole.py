@@ -42,7 +42,7 @@ class Equirectangular:
 
     def sees(self, point: Float[Array, "3"]) -> Bool[Array, ""]:
         """Returns whether a point is neither at the camera nor exactly at a pole."""
-        aside, squared = point[0] ** 2 + point[2] ** 2, point @ point
+        aside, squared = point[0] ** 2 + point[2] ** 2, jnp.sum(point * point)
         return (squared > NEAR**2) & (aside > 1e-8 * squared) & jnp.isfinite(squared)
 
     def linearized_at(

@@ -83,3 +83,22 @@ def with_slots(opacities, **settings) -> Gaussians:
     logits = jnp.asarray(np.log(opacities / (1 - opacities)), jnp.float32)
     gaussians = replace(random_gaussians(n=len(opacities), **settings), opacity_logits=logits)
     return pad(gaussians, bucket_for(len(opacities)))
+
+
+def plane_of_gaussians(
+    normal, n=900, half=1.5, sigma=0.1, flat=1e-4, opacity=0.9, dtype=np.float32
+) -> Gaussians:
+    """Flat Gaussians at random places of a square around the origin, which is normal to a unit vector."""
+    rng = np.random.default_rng(0)
+    across = np.linalg.svd(np.asarray(normal)[None])[2][1:]
+    axes = np.stack([across[0], np.cross(normal, across[0]), normal], axis=1)  # columns, right-handed
+    w = 0.5 * np.sqrt(max(1 + np.trace(axes), 1e-9))
+    xyz = np.array([axes[2, 1] - axes[1, 2], axes[0, 2] - axes[2, 0], axes[1, 0] - axes[0, 1]]) / (4 * w)
+    fields = (
+        rng.uniform(-half, half, (n, 2)) @ axes[:, :2].T,
+        np.tile([w, *xyz], (n, 1)),
+        np.tile(np.log([sigma, sigma, flat * sigma]), (n, 1)),
+        np.full(n, np.log(opacity / (1 - opacity))),
+        np.zeros((n, 1, 3)),
+    )
+    return Gaussians(*(jnp.asarray(np.asarray(field, dtype)) for field in fields))

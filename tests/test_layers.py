@@ -11,7 +11,7 @@ ROOT = Path(splatax.__file__).parent
 LAYERS = (  # lowest first; a package stands for all its modules
     {"math", "errors", "packages", "shapes", "splits", "varying", "low_pass"},
     {"gaussians", "splats", "cameras", "dataset", "resampling", "transforms"},
-    {"footprints", "projection", "sky", "losses", "metrics", "lpips", "io"},
+    {"footprints", "projection", "surfaces", "sky", "losses", "metrics", "lpips", "io"},
     {"backends"},
     {"outputs", "stages", "rendering", "trajectories"},
     {"training", "evaluation", "editing"},

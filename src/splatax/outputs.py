@@ -13,10 +13,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from splatax import splats as views
 from splatax.backends.protocol import MOST_SELECTED, Selection
 from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
 from splatax.splats import Splats
+from splatax.surfaces import pixel_centers, planes, unit
 
 BackgroundArray = Float[Array, "3"] | Float[Array, "h w 3"]
 
@@ -38,8 +40,13 @@ class Drawn(NamedTuple):
     sums: Float[Array, "h w c"] | None  # of weight times channel
     alpha: Float[Array, "h w"] | None
     selection: Selection | None
-    splats: Splats
+    seen: Seen
     background: BackgroundArray
+
+    @property
+    def splats(self) -> Splats:
+        """The splats of the view."""
+        return self.seen.splats
 
 
 class Contributors(NamedTuple):
@@ -67,6 +74,16 @@ class Output:
     finish: Callable[[Drawn], Any]
     channels: Callable[[Seen], Float[Array, "n c"]] | None = None
     selected: int | None = None
+
+
+def unrolled(seen: Seen) -> Seen:
+    """Returns the splats that are painted, with their Gaussians: a panorama has copies beside its seam."""
+    if seen.splats.period is None:
+        return seen
+    splats, _ = views.unrolled(seen.splats, seen.splats.colors)
+    return seen._replace(
+        splats=splats, gaussians=jax.tree.map(lambda rows: jnp.concatenate([rows, rows]), seen.gaussians)
+    )
 
 
 @cache  # equal outputs share a compiled program
@@ -104,16 +121,61 @@ def median_depth(drawn: Drawn) -> Float[Array, "h w"]:
     return depths[median]
 
 
+def surface_channels(seen: Seen) -> Float[Array, "n 3"]:
+    """Returns the plane of each Gaussian, as its inverse depth at the image's centre and its slope.
+
+    The channels are those of `splatax.surfaces.planes`. Blended, they give the plane at a pixel.
+
+    Raises:
+        ValueError: if there are only splats, which do not have planes.
+    """
+    found = planes(*_scene_of(seen, "surface_depth"), seen.splats)
+    offset = seen.splats.means2d - _middle(seen.splats)[None]
+    return jnp.column_stack([found.disparities - jnp.sum(found.slopes * offset, axis=1), found.slopes])
+
+
+def surface_depth(drawn: Drawn) -> Float[Array, "h w"]:
+    """Returns the depth of the blended planes at each pixel: a harmonic mean; 0 where there is none."""
+    assert drawn.sums is not None
+    assert drawn.alpha is not None
+    centers = pixel_centers(drawn.splats.width, drawn.splats.height, drawn.sums.dtype)
+    offset = centers - _middle(drawn.splats)[None, None]
+    disparity = drawn.sums[..., 0] + jnp.sum(drawn.sums[..., 1:] * offset, axis=-1)
+    covered = (drawn.alpha > 0) & (disparity > 0)
+    return jnp.where(covered, drawn.alpha / jnp.where(covered, disparity, 1), 0)
+
+
+def median_surface_depth(drawn: Drawn) -> Float[Array, "h w"]:
+    """Returns the depth of the plane of the Gaussian that makes a pixel half opaque; 0 where none does."""
+    splats, median = drawn.splats, _selection(drawn).median
+    found = planes(*_scene_of(drawn.seen, "median_surface_depth"), splats)
+    rows = jnp.column_stack([splats.means2d, found.disparities, found.slopes])
+    rows = jnp.pad(rows, [(0, 1), (0, 0)])  # so that index -1 is no splat
+    mean2d, disparity, slope = jnp.split(rows[median], (2, 3), axis=-1)
+    offset = pixel_centers(splats.width, splats.height, rows.dtype) - mean2d
+    if splats.period is not None:  # the copy on this side of the seam
+        turns = jnp.round(offset[..., 0] / splats.period)
+        offset = offset.at[..., 0].add(-turns * splats.period)
+    disparity = disparity[..., 0] + jnp.sum(slope * offset, axis=-1)
+    met = disparity > 0
+    return jnp.where(met, 1 / jnp.where(met, disparity, 1), 0)
+
+
+def normals(drawn: Drawn) -> Float[Array, "h w 3"]:
+    """Returns the mean normal of the planes at each pixel, as a unit vector; 0 where there is none."""
+    assert drawn.sums is not None
+    return unit(drawn.sums)
+
+
 def distances(seen: Seen) -> Float[Array, "n 1"]:
     """Returns the distances from the optical centre to the Gaussians, world units; 0 for culled ones.
 
     Raises:
         ValueError: if there are only splats, which do not have them.
     """
-    if seen.gaussians is None or seen.camera is None:
-        raise ValueError("output 'distance' needs the scene and its camera: use render instead of rasterize.")
+    gaussians, camera = _scene_of(seen, "distance")
     shown = jnp.all(seen.splats.extents > 0, axis=1)
-    offset = jnp.where(shown[:, None], seen.gaussians.means - seen.camera.position[None], 0)
+    offset = jnp.where(shown[:, None], gaussians.means - camera.position[None], 0)
     squared = jnp.sum(jnp.square(offset), axis=1)
     apart = squared > 0
     return jnp.where(apart, jnp.sqrt(jnp.where(apart, squared, 1)), 0)[:, None]
@@ -123,6 +185,19 @@ def _rgb(drawn: Drawn) -> Float[Array, "h w 3"]:
     assert drawn.sums is not None
     assert drawn.alpha is not None
     return over(drawn.sums, drawn.alpha, drawn.background)
+
+
+def _scene_of(seen: Seen, output: str) -> tuple[Gaussians, Camera]:
+    """Returns the scene and the camera of a view."""
+    if seen.gaussians is None or seen.camera is None:
+        raise ValueError(
+            f"output {output!r} needs the scene and its camera: use render instead of rasterize."
+        )
+    return seen.gaussians, seen.camera
+
+
+def _middle(splats: Splats) -> Float[Array, "2"]:
+    return jnp.array([splats.width / 2, splats.height / 2], splats.means2d.dtype)
 
 
 def _selection(drawn: Drawn) -> Selection:
@@ -136,6 +211,9 @@ OUTPUTS: dict[str, Output] = {
     "depth": Output(mean, lambda seen: seen.splats.depths[:, None]),
     "distance": Output(mean, distances),
     "median_depth": Output(median_depth, selected=0),
+    "surface_depth": Output(surface_depth, surface_channels),
+    "median_surface_depth": Output(median_surface_depth, selected=0),
+    "normals": Output(normals, lambda seen: planes(*_scene_of(seen, "normals"), seen.splats).normals),
     "contributors": Output(contributors(8).finish, selected=8),
 }
 STANDARD = ("rgb", "alpha", "depth")
@@ -174,6 +252,9 @@ class Rendering:
         depth         [h w]    mean depth of the splats that cover the pixel, world units; 0 if none
         distance      [h w]    mean distance from the optical centre to these, world units; 0 if none
         median_depth  [h w]    depth of the splat that makes the pixel half opaque; 0 if none does
+        surface_depth [h w]    depth of the blended planes of the Gaussians at the pixel; 0 if none
+        median_surface_depth   [h w]: depth of the plane of the Gaussian that makes it half opaque; 0 if none
+        normals       [h w 3]  mean normal of these planes, unit vectors in the world; 0 if none
         contributors           `Contributors`: the Gaussians with the largest weights, and the weights
 
     Attributes:

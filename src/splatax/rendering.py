@@ -22,7 +22,17 @@ from splatax.cameras.geometry import rays
 from splatax.footprints import EWA, Method
 from splatax.gaussians import Gaussians
 from splatax.low_pass import LowPass
-from splatax.outputs import STANDARD, BackgroundArray, Drawn, Output, Outputs, Rendering, Seen, resolve
+from splatax.outputs import (
+    STANDARD,
+    BackgroundArray,
+    Drawn,
+    Output,
+    Outputs,
+    Rendering,
+    Seen,
+    resolve,
+    unrolled,
+)
 from splatax.shapes import check_arrays
 from splatax.sky import Surroundings
 from splatax.splats import Splats
@@ -99,8 +109,8 @@ def render(
 ) -> Rendering:
     """Renders a scene. Differentiable in all arrays: scene, camera, background and features.
 
-    The outputs "rgb", "alpha", "depth", "distance" and the features have exact derivatives. "median_depth"
-    has the derivative of the one depth that it shows. "contributors" has none.
+    All outputs and the features have exact derivatives, except that "median_depth" and
+    "median_surface_depth" have that of the one Gaussian that they show, and "contributors" has none.
 
     Args:
         gaussians: the scene.
@@ -133,7 +143,8 @@ def rasterize(
     """Draws the 2D Gaussians of one view: the second half of `render`.
 
     Raises:
-        ValueError: as `render`; also for the output "distance", which splats alone do not determine.
+        ValueError: as `render`; also for "distance", surface depths and "normals", which splats alone do not
+            determine.
     """
     requested = resolve(outputs)
     views.checked(splats)
@@ -172,13 +183,18 @@ def _finish(
 ) -> Rendering:
     seen, background, features = vary_together(seen, background, features)
     splats = seen.splats
-    channels = {("image", name): output.channels(seen) for name, output in requested if output.channels}
+    painted = unrolled(seen)
+    if painted is not seen:
+        features = jax.tree.map(lambda rows: jnp.concatenate([rows, rows]), features)
+    channels = {("image", name): output.channels(painted) for name, output in requested if output.channels}
     channels |= {("feature", name): values for name, values in features.items()}
     sums: dict[tuple[str, str], Array] = {}
     alpha = selection = None
     if channels:
         widths = np.cumsum([values.shape[1] for values in channels.values()])
-        blended, alpha = composite(splats, jnp.concatenate(list(channels.values()), axis=1), backend=kernels)
+        blended, alpha = composite(
+            painted.splats, jnp.concatenate(list(channels.values()), axis=1), backend=kernels
+        )
         sums = dict(zip(channels, jnp.split(blended, widths[:-1], axis=2), strict=True))
     counts = [output.selected for _, output in requested if output.selected is not None]
     if counts:
@@ -189,7 +205,7 @@ def _finish(
         own = None
         if selection is not None and count is not None:
             own = Selection(selection.indices[..., :count], selection.weights[..., :count], selection.median)
-        return Drawn(sums.get(("image", name)), alpha, own, splats, background)
+        return Drawn(sums.get(("image", name)), alpha, own, seen, background)
 
     return Rendering(
         images={name: output.finish(drawn(name, output)) for name, output in requested},

@@ -8,8 +8,19 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from scenes import BLUE, GREEN, RED, at, camera_at, random_gaussians, random_splats, splats
+from scenes import (
+    BLUE,
+    GREEN,
+    RED,
+    at,
+    camera_at,
+    plane_of_gaussians,
+    random_gaussians,
+    random_splats,
+    splats,
+)
 from splatax import backends, outputs
+from splatax.cameras.geometry import rays
 from splatax.rendering import rasterize, render, select
 
 GAUSSIANS = random_gaussians(n=80, degree=1, scale=(0.1, 0.5))
@@ -57,6 +68,26 @@ def test_distance_is_measured_from_the_optical_centre_to_the_gaussians(backend):
     assert (np.asarray(drawn.depth)[covered] < expected).all()  # it is off the axis
 
 
+def test_surface_depths_and_normals_of_a_plane_are_exact(backend):
+    normal = np.array([0.3, -0.5, -1.0]) / np.linalg.norm([0.3, -0.5, -1.0])
+    drawn = render(
+        plane_of_gaussians(normal, n=600, half=2.0, sigma=0.15),
+        CAMERA,
+        outputs=("alpha", "depth", "surface_depth", "median_surface_depth", "normals"),
+        backend=backend,
+    )
+    directions = np.asarray(rays(CAMERA), np.float64)
+    distance = -(normal @ np.asarray(CAMERA.position)) / (directions @ normal)
+    depth = distance * (directions @ np.asarray(CAMERA.rotation[2]))
+    covered = np.asarray(drawn.alpha) > 0.5
+    assert 0.9 < covered.mean() < 1
+    assert_array_equal(np.asarray(drawn.median_surface_depth) > 0, covered)
+    assert_allclose(drawn.surface_depth[covered], depth[covered], rtol=2e-6)
+    assert_allclose(drawn.median_surface_depth[covered], depth[covered], rtol=2e-6)
+    assert_allclose(drawn.normals[covered], np.broadcast_to(normal, (covered.sum(), 3)), atol=1e-5)
+    assert np.median(np.abs(drawn.depth - depth)) > 0.05  # the mean of centres is not the surface
+
+
 def test_contributors_are_sorted_by_weight_and_padded(backend):
     # Weights, from near to far: 0.3, 0.7 * 0.5 = 0.35, 0.35 * 0.6 = 0.21.
     rows = [
@@ -100,8 +131,9 @@ def test_every_output_equals_the_reference(backend, seed):
     actual = render(gaussians, CAMERA, outputs=ALL, backend=backend)
     for name in ("rgb", "alpha"):
         assert_allclose(getattr(actual, name), getattr(expected, name), atol=2e-5)
-    for name in ("depth", "distance"):
+    for name in ("depth", "distance", "surface_depth"):
         assert_allclose(getattr(actual, name), getattr(expected, name), rtol=1e-3)
+    assert_allclose(actual.normals, expected.normals, atol=1e-3)
     assert_allclose(actual.contributors.weights, expected.contributors.weights, atol=2e-5)
     same = np.asarray(actual.contributors.indices == expected.contributors.indices)
     assert same.mean() > 0.995  # weights that are equal to rounding may change places
@@ -122,8 +154,9 @@ def test_thousands_of_splats_in_one_tile_are_ranked_as_by_the_reference(backend,
 def test_all_outputs_of_nothing_are_empty(backend):
     nothing = jax.tree.map(lambda leaf: leaf[:0], GAUSSIANS)
     drawn = render(nothing, CAMERA, outputs=ALL, features={"f": jnp.zeros((0, 2))}, backend=backend)
-    for name in ("alpha", "depth", "distance", "median_depth"):
+    for name in ("alpha", "depth", "distance", "median_depth", "surface_depth", "median_surface_depth"):
         assert_array_equal(getattr(drawn, name), np.zeros((24, 32)))
+    assert_array_equal(drawn.normals, np.zeros((24, 32, 3)))
     assert_array_equal(drawn.contributors.indices, np.full((24, 32, 8), -1))
     assert_array_equal(drawn.contributors.weights, np.zeros((24, 32, 8)))
 
@@ -137,7 +170,10 @@ def directional(objective, point, direction, step):
     return (objective(moved[0]) - objective(moved[1])) / (2 * step)
 
 
-@pytest.mark.parametrize("name", ["depth", "distance", "median_depth", "labels"])
+@pytest.mark.parametrize(
+    "name",
+    ["depth", "distance", "median_depth", "surface_depth", "median_surface_depth", "normals", "labels"],
+)
 def test_outputs_have_the_derivatives_of_finite_differences(x64, name, backend):
     if reason := backends.why_unavailable(backend, np.float64):
         pytest.skip(reason)
@@ -151,7 +187,10 @@ def test_outputs_have_the_derivatives_of_finite_differences(x64, name, backend):
         if name == "labels":
             drawn = render(gaussians, camera, outputs=(), features={"labels": labels}, backend=backend)
             return jnp.sum(drawn.features["labels"] * weights[..., None])
-        return jnp.sum(getattr(render(gaussians, camera, outputs=(name,), backend=backend), name) * weights)
+        drawn = getattr(render(gaussians, camera, outputs=(name,), backend=backend), name)
+        return jnp.sum(
+            drawn * (weights if drawn.ndim == 2 else jnp.stack([weights, weights**2, 1 - weights], axis=-1))
+        )
 
     point = (gaussians, camera, labels)
     gradient = jax.grad(objective)(point)
@@ -171,12 +210,15 @@ def test_gradients_of_outputs_equal_the_reference(backend):
     rng = np.random.default_rng(1)
     weights = {
         name: jnp.asarray(rng.normal(size=(24, 32)), jnp.float32)
-        for name in ("alpha", "depth", "distance", "median_depth")
+        for name in ("alpha", "depth", "distance", "median_depth", "surface_depth", "median_surface_depth")
     }
 
     def objective(gaussians, camera, labels, backend):
         drawn = render(gaussians, camera, outputs=ALL, features={"labels": labels}, backend=backend)
         total = sum(jnp.sum(getattr(drawn, name) * w) for name, w in weights.items())
+        total += jnp.sum(
+            drawn.normals * jnp.stack([weights["depth"], weights["alpha"], weights["distance"]], axis=-1)
+        )
         return total + jnp.sum(drawn.features["labels"] * weights["alpha"][..., None]) + drawn.rgb.sum()
 
     found, expected = (
@@ -208,6 +250,9 @@ def test_contributors_have_no_gradient(backend):
         (("median_depth",), None, 0),
         (("contributors", "median_depth"), None, 8),
         (("distance",), 1, None),
+        (("surface_depth",), 3, None),
+        (("median_surface_depth",), None, 0),
+        (("normals",), 3, None),
     ],
 )
 def test_what_is_not_asked_for_is_not_computed(asked, channels, selected):
@@ -245,9 +290,10 @@ def test_an_unknown_output_is_refused_with_the_choices():
         select(random_splats(n=5), 65)
 
 
-def test_distance_of_splats_alone_is_refused_with_the_way_out():
-    with pytest.raises(ValueError, match="use render instead of rasterize"):
-        rasterize(random_splats(n=5), outputs=("distance",))
+@pytest.mark.parametrize("name", ["distance", "surface_depth", "median_surface_depth", "normals"])
+def test_what_splats_alone_do_not_have_is_refused_with_the_way_out(name):
+    with pytest.raises(ValueError, match=f"'{name}'.*use render instead of rasterize"):
+        rasterize(random_splats(n=5), outputs=(name,))
 
 
 def test_an_output_of_your_own_needs_no_registration(backend):

@@ -1,0 +1,171 @@
+"""Surfaces of a scene in one view: the plane of each Gaussian, and the normals of a depth image.
+
+Along the ray of a pixel, the density of a 3D Gaussian is highest at one point (Yu et al. 2024, GOF). Near
+the mean, these points lie on a plane with the normal Sigma^-1 r, where r is the ray through the mean (Zhang
+et al. 2024, RaDe-GS). A flat Gaussian has its own plane, and a round one a plane that faces the camera.
+
+Through a pinhole, the inverse of the depth of a plane is an affine function of the pixel,
+
+    1 / depth(p) = 1 / depth_i + slope_i . (p - mean2d_i),
+
+and through other lenses it is one to first order. Three ordinary channels therefore carry a plane through
+any rasterizer.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from splatax.cameras import Camera
+from splatax.gaussians import Gaussians
+from splatax.math import quaternions
+from splatax.splats import MIN_ALPHA, Splats
+
+LEAST_LOG_SCALE = -60.0  # a size that float32 can hold
+FLATTEST = -12.0  # log of the ratio of two scales below which flatter Gaussians are treated alike
+STEEPEST = 2.0  # standard deviations of inverse depth for one of the drawn ellipse
+FARTHEST = 0.9  # fraction of the inverse depth that a plane may lose or gain inside the drawn ellipse
+
+
+class Planes(NamedTuple):
+    """The plane of each Gaussian in one view; those of culled rows are finite and have no gradient.
+
+    Attributes:
+        disparities: inverse depth by the lens at the mean, 1 / world units.
+        slopes: change of the inverse depth with the pixel, x and y.
+        normals: unit normals in the world, towards the camera.
+    """
+
+    disparities: Float[Array, " n"]
+    slopes: Float[Array, "n 2"]
+    normals: Float[Array, "n 3"]
+
+
+@jax.jit
+def planes(gaussians: Gaussians, camera: Camera, splats: Splats) -> Planes:
+    """Returns the planes on which the density of each Gaussian along rays is highest.
+
+    A plane that is seen edge-on has no finite slope, and the low-pass makes the ellipse of a small Gaussian
+    larger than its plane. Slopes are therefore limited: over the drawn ellipse, the standard deviation of
+    the plane's inverse depth is at most twice that of the Gaussian, and the inverse depth stays positive.
+    Gaussians that span at least a third of a pixel down their slope keep their exact plane.
+
+    Args:
+        gaussians: the scene.
+        camera: camera of the view.
+        splats: the scene in this view, row by row.
+    """
+    shown = jnp.all(splats.extents > 0, axis=1)
+    ahead = camera.position + camera.rotation[2]  # what every lens sees
+
+    def one(shown, mean, quat, log_scale, sqrt_conic, opacity):
+        mean, quat = jnp.where(shown, mean, ahead), jnp.where(shown, quat, jnp.eye(4, dtype=quat.dtype)[0])
+        log_scale = jnp.where(shown, jnp.maximum(log_scale, LEAST_LOG_SCALE), 0)  # -inf is exactly flat
+        opacity = jnp.where(shown, opacity, 1)
+        sqrt_conic = jnp.where(shown, sqrt_conic, jnp.array([1, 0, 1], sqrt_conic.dtype))
+        disparity, slope, normal, spread = _plane(camera, mean, quat, log_scale)
+        return disparity, slope * _limit(disparity, slope, spread, sqrt_conic, opacity), normal
+
+    fields = gaussians.means, gaussians.quats, gaussians.log_scales, splats.sqrt_conics, splats.opacities
+    return Planes(*jax.vmap(one)(shown, *fields))
+
+
+def _plane(camera: Camera, mean: Float[Array, "3"], quat: Float[Array, "4"], log_scale: Float[Array, "3"]):
+    """Returns inverse depth, slope and normal of one plane, and the Gaussian's deviation of inverse depth."""
+
+    def seen(point):
+        local = camera.to_camera(point)
+        place = jnp.append(camera.to_pixel(local), 1 / camera.lens.depth(local))
+        return place, place
+
+    across, place = jax.jacfwd(seen, has_aux=True)(mean)
+    x, y, near = across
+    # Columns of the inverse of the Jacobian, up to a factor: how the point moves if x, y or nearness grows.
+    along = jnp.cross(y, near), jnp.cross(near, x), jnp.cross(x, y)
+    facing = along[2] * jnp.sign(jnp.sum(near * along[2])) / jnp.linalg.norm(along[2])
+    axes = quaternions.to_rotation(quat)
+    least = jax.lax.stop_gradient(jnp.min(log_scale))  # a factor of Sigma does not change the plane
+    precision = jnp.exp(2 * jnp.maximum(least - log_scale, FLATTEST))
+    normal = axes @ (precision * (axes.T @ facing))
+    slope = -jnp.stack([normal @ along[0], normal @ along[1]]) / (normal @ along[2])
+    spread = jnp.linalg.norm((near @ axes) * jnp.exp(log_scale))
+    return place[2], slope, normal / jnp.linalg.norm(normal), spread
+
+
+def _limit(
+    disparity: Float[Array, ""],
+    slope: Float[Array, "2"],
+    spread: Float[Array, ""],
+    sqrt_conic: Float[Array, "3"],
+    opacity: Float[Array, ""],
+) -> Float[Array, ""]:
+    """Returns the factor, at most 1, by which a slope is reduced; see `planes`."""
+    u, v, w = sqrt_conic
+    first = slope[0] / u
+    second = (slope[1] - v * first) / w
+    squared = first * first + second * second
+    sloped = squared > 0
+    drawn = jnp.sqrt(jnp.where(sloped, squared, 1))  # deviation of the plane over the drawn ellipse
+    reach = jnp.sqrt(jnp.maximum(2 * jnp.log(jnp.maximum(opacity / MIN_ALPHA, 1)), 1e-6))
+    most = jnp.minimum(STEEPEST * spread, FARTHEST * disparity / reach)
+    return jnp.where(sloped, jnp.minimum(most / drawn, 1), 1)
+
+
+@jax.jit
+def positions_of(camera: Camera, depth: Float[Array, "h w"]) -> Float[Array, "h w 3"]:
+    """Returns the world points that a camera sees at the centres of its pixels.
+
+    Args:
+        camera: of the depth's size.
+        depth: by the lens, world units.
+    """
+
+    def one(pixel, depth):
+        here = camera
+        if camera.motion is not None:
+            here = camera.at(camera.motion.time(pixel, camera.width, camera.height))
+        return here.rotation.T @ (here.to_point(pixel, depth) - here.translation)
+
+    return jax.vmap(jax.vmap(one))(pixel_centers(camera.width, camera.height, depth.dtype), depth)
+
+
+@jax.jit
+def normals_of(camera: Camera, depth: Float[Array, "h w"]) -> Float[Array, "h w 3"]:
+    """Returns the normals of a depth image: unit vectors in the world, towards the camera.
+
+    They are cross products of central differences of the points that the camera sees, one-sided at the
+    border. They are 0 where the pixel or one of its neighbours has no depth.
+
+    Args:
+        camera: of the depth's size.
+        depth: by the lens, world units; 0 where it is unknown.
+    """
+    known = depth > 0
+    points = positions_of(camera, jnp.where(known, depth, 1))
+    right, left = _beside(points, 1, 1), _beside(points, 1, -1)
+    below, above = _beside(points, 0, 1), _beside(points, 0, -1)
+    around = (
+        known & _beside(known, 1, 1) & _beside(known, 1, -1) & _beside(known, 0, 1) & _beside(known, 0, -1)
+    )
+    return unit(jnp.where(around[..., None], jnp.cross(below - above, right - left), 0))
+
+
+def _beside(values: Array, axis: int, by: int) -> Array:
+    """Returns the values of the next pixels along an axis, and those of the border itself there."""
+    size = values.shape[axis]
+    return jnp.take(values, jnp.clip(jnp.arange(size) + by, 0, size - 1), axis=axis)
+
+
+def unit(vectors: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+    """Returns vectors of length one; zero ones stay zero, with a zero gradient."""
+    squared = jnp.sum(vectors * vectors, axis=-1, keepdims=True)
+    some = squared > 0
+    return jnp.where(some, vectors / jnp.sqrt(jnp.where(some, squared, 1)), 0)
+
+
+def pixel_centers(width: int, height: int, dtype: jnp.dtype) -> Float[Array, "h w 2"]:
+    """Returns the coordinates of the centres of an image's pixels."""
+    x, y = (jnp.arange(size, dtype=dtype) + 0.5 for size in (width, height))
+    return jnp.stack(jnp.meshgrid(x, y), axis=-1)

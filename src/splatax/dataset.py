@@ -26,12 +26,15 @@ class View:
         pixels: function that decodes the photo to 8-bit RGB, or RGBA with straight alpha.
         mask: function that decodes the mask, true where a pixel counts in training and evaluation; None if
             all pixels count.
+        landmarks: function that returns world points on the surfaces that the photo shows, such as those of
+            structure from motion or of a depth map; None if none are known.
     """
 
     name: str
     camera: Camera
     pixels: Callable[[], Pixels]
     mask: Callable[[], Mask] | None = None
+    landmarks: Callable[[], Float[np.ndarray, "_ 3"]] | None = None
 
 
 def mask_of(view: View) -> Mask | None:

@@ -138,8 +138,7 @@ def surface_depth(drawn: Drawn) -> Float[Array, "h w"]:
     """Returns the depth of the blended planes at each pixel: a harmonic mean; 0 where there is none."""
     assert drawn.sums is not None
     assert drawn.alpha is not None
-    centers = pixel_centers(drawn.splats.width, drawn.splats.height, drawn.sums.dtype)
-    offset = centers - _middle(drawn.splats)[None, None]
+    offset = from_middle(drawn.splats, drawn.sums.dtype)
     disparity = drawn.sums[..., 0] + jnp.sum(drawn.sums[..., 1:] * offset, axis=-1)
     covered = (drawn.alpha > 0) & (disparity > 0)
     return jnp.where(covered, drawn.alpha / jnp.where(covered, disparity, 1), 0)
@@ -194,6 +193,11 @@ def _scene_of(seen: Seen, output: str) -> tuple[Gaussians, Camera]:
             f"output {output!r} needs the scene and its camera: use render instead of rasterize."
         )
     return seen.gaussians, seen.camera
+
+
+def from_middle(splats: Splats, dtype: jnp.dtype) -> Float[Array, "h w 2"]:
+    """Returns the offsets of pixels from the image's middle, to which `surface_channels` refer."""
+    return pixel_centers(splats.width, splats.height, dtype) - _middle(splats)[None, None]
 
 
 def _middle(splats: Splats) -> Float[Array, "2"]:

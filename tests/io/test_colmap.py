@@ -33,6 +33,17 @@ def test_a_known_point_projects_to_its_known_pixel(capture):
     assert_allclose(view.camera.to_pixel(view.camera.to_camera(point)), expected, rtol=1e-5)
 
 
+def test_the_landmarks_of_a_photo_are_the_points_that_were_observed_in_it(tmp_path):
+    folder = write_capture(tmp_path)
+    model = pycolmap.Reconstruction(folder / "sparse" / "0")
+    model.delete_observation(next(i for i in model.images if model.image(i).name == "photo02.png"), 1)
+    model.write_binary(folder / "sparse" / "0")
+    views = {view.name: view for view in sx.load_dataset(folder).views}
+    points = np.asarray(POINTS, np.float32) + np.float32([0, 0, 5])
+    assert_allclose(views["photo01.png"].landmarks(), points, atol=1e-6)
+    assert_allclose(views["photo02.png"].landmarks(), np.delete(points, 1, axis=0), atol=1e-6)
+
+
 def test_every_eighth_photo_by_name_is_held_out_but_neither_the_first_nor_the_last(capture):
     dataset = sx.load_dataset(capture)
     assert [view.name for view in dataset.test] == ["photo04.png"]

@@ -207,6 +207,7 @@ def test_depth_maps_of_nerfstudio_are_points_where_the_photo_has_their_color(suf
     (point,) = dataset.points.positions
     pixel, depth = seen(view.camera, point)
     assert_allclose(depth, 3, rtol=1e-6)
+    assert_allclose(view.landmarks(), [point], rtol=1e-6)
     assert_allclose(pixel, [41, 13], atol=1e-3)
     assert_allclose(dataset.points.colors[0], view.pixels()[13, 41] / 255, atol=1e-6)
 

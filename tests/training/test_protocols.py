@@ -13,7 +13,7 @@ import splatax as sx
 from splatax.training import protocols
 from splatax.training.optimizer import LearningRates, Optimizer
 from splatax.training.protocols import DensityUpdate, Lineage
-from splatax.training.recipes import ShSchedule
+from splatax.training.recipes import Objective, ShSchedule
 from training.test_training import capture, run
 
 
@@ -131,6 +131,18 @@ class Shift:
 
 
 @dataclass(frozen=True)
+class Near:
+    """Pulls what is seen to a distance of 4."""
+
+    @property
+    def outputs(self):
+        return {"distance": sx.outputs.OUTPUTS["distance"]}
+
+    def __call__(self, images, camera, landmarks):
+        return 0.1 * jnp.mean(jnp.square(images["distance"] - 4))
+
+
+@dataclass(frozen=True)
 class Grey:
     rgb: tuple[float, float, float] = (0.5, 0.5, 0.5)
 
@@ -156,6 +168,7 @@ PARTS = {
     "initialization": (protocols.Initialization, OnAGrid()),
     "loss": (protocols.Loss, SquaredError()),
     "prior": (protocols.Prior, SmallHarmonics()),
+    "geometry": (protocols.Geometry, Near()),
     "density": (protocols.DensityStrategy, DropFaintest()),
     "appearance": (protocols.Appearance, Gain()),
     "camera_refinement": (protocols.CameraRefinement, Shift()),
@@ -169,6 +182,8 @@ RECIPE = sx.Recipe(steps=8, sh=ShSchedule(1, 2))
 
 
 def with_part(recipe, name, part):
+    if name in ("loss", "prior", "geometry"):
+        return replace(recipe, objective=replace(recipe.objective, **{name: part}))
     if name in ("rule", "reach", "noise"):
         return replace(recipe, optimizer=replace(recipe.optimizer, **{name: part}))
     return replace(recipe, **{name: part})
@@ -176,7 +191,7 @@ def with_part(recipe, name, part):
 
 def test_every_part_of_a_recipe_that_has_a_protocol_is_written_here():
     written = {protocol.__name__ for protocol, _ in PARTS.values()}
-    named = {str(field.type) for record in (sx.Recipe, Optimizer) for field in fields(record)}
+    named = {str(field.type) for record in (sx.Recipe, Objective, Optimizer) for field in fields(record)}
     declared = {name for name, value in vars(protocols).items() if getattr(value, "_is_protocol", False)}
     in_recipes = {name for name in declared if any(name in text for text in named)}
     assert in_recipes == written

@@ -12,7 +12,7 @@ from shortened import shortened
 from splatax.losses import Photometric
 from splatax.training.capacity import pad
 from splatax.training.loop import RunState, first_state
-from splatax.training.recipes import PRESETS
+from splatax.training.recipes import PRESETS, Objective
 from training.test_training import capture
 
 
@@ -36,7 +36,7 @@ def finite(gaussians):
 @pytest.mark.parametrize("name", PRESETS)
 def test_a_step_without_a_finite_loss_changes_no_gaussian_and_is_counted(name):
     dataset = with_a_black_photo(capture())
-    recipe = replace(shortened(name), loss=Touchy())
+    recipe = replace(shortened(name), objective=Objective(loss=Touchy()))
     before, bad = None, 0
     for progress in sx.optimize(dataset, recipe):
         now, refined = progress.gaussians, recipe.density.due(progress.step)

@@ -27,6 +27,7 @@ from splatax.splits import is_list, listed_in, parse_hold_out
 from splatax.training.appearance import APPEARANCES
 from splatax.training.backgrounds import BACKGROUNDS
 from splatax.training.camera_refinement import CAMERA_REFINEMENTS
+from splatax.training.geometry import Surfaces
 from splatax.training.protocols import Initialization
 from splatax.training.recipes import PRESETS
 
@@ -64,6 +65,7 @@ class Settings:
     low_pass: LowPassName = "dilation"
     appearance: AppearanceName = "auto"
     refine: RefinementName = "none"
+    geometry: bool = False
     backend: BackendName = "auto"
     seed: int = 0
     eval_every: int = 0
@@ -122,6 +124,8 @@ class Settings:
             InputError: if the backend cannot run here.
         """
         recipe = PRESETS[self.recipe].build(steps=self.steps, max_gaussians=self.most(dataset))
+        if self.geometry:
+            recipe = replace(recipe, objective=replace(recipe.objective, geometry=Surfaces()))
         return replace(
             recipe,
             initialization=self.initialization(),

@@ -7,7 +7,7 @@ import numpy as np
 
 from splatax.cameras import Camera
 from splatax.dataset import Dataset, Pixels, PointCloud, View, hold_out
-from splatax.demo.raycast import look, photograph
+from splatax.demo.raycast import look, photograph, visible
 from splatax.demo.scene import SIZE, Scene
 from splatax.demo.scenes import DEFAULT, scene_named
 from splatax.splits import Every, Nothing
@@ -37,13 +37,19 @@ def demo_dataset(
     photos = drawn.photos if photos is None else photos
     if min(photos, width, height) < 1:
         raise ValueError(f"a capture needs photos with pixels, not {photos} of {width} x {height} pixels")
+    cameras = drawn.cameras(photos, (width, height))
+    positions, colors = surface_points(list(cameras), drawn)
     views = [
-        View(f"view{i:02}.png", camera, cache(partial(_pixels, camera, drawn)))
-        for i, camera in enumerate(drawn.cameras(photos, (width, height)))
+        View(
+            f"view{i:02}.png",
+            camera,
+            cache(partial(_pixels, camera, drawn)),
+            landmarks=partial(_landmarks, camera, positions, drawn),
+        )
+        for i, camera in enumerate(cameras)
     ]
     rule = HELD_OUT if photos > 1 else Nothing()
     train, test = hold_out(views, rule)
-    positions, colors = surface_points([view.camera for view in views], drawn)
     cloud = PointCloud(positions, np.clip(colors, 0, 1))
     return Dataset(train, test, cloud, background=drawn.background, split=str(rule))
 
@@ -59,6 +65,12 @@ def surface_points(views: list[Camera], scene: Scene) -> tuple[np.ndarray, np.nd
     )
     met = np.isfinite(positions).all(axis=1)
     return positions[met].astype(np.float64), colors[met]
+
+
+def _landmarks(camera: Camera, positions: np.ndarray, scene: Scene) -> np.ndarray:
+    """Returns the points that nothing hides from a camera; some of them lie beside the image."""
+    points = positions.astype(np.float32)
+    return points[np.asarray(visible(camera, jnp.asarray(points), scene))]
 
 
 def _pixels(camera: Camera, scene: Scene) -> Pixels:

@@ -9,7 +9,7 @@ from itertools import count, islice
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, UInt8
+from jaxtyping import Array, Bool, Float, UInt8
 
 from splatax.cameras import Camera
 from splatax.dataset import Mask, Pixels, View
@@ -17,6 +17,7 @@ from splatax.training.photo_cache import PhotoCache
 from splatax.training.protocols import ResolutionSchedule, Source
 from splatax.training.resolution import Resolution
 
+MOST_LANDMARKS = 8192  # of one photo; more cost time and memory, and say little more
 FIRST = Source(np.int32(0), np.int32(0))
 
 
@@ -31,6 +32,7 @@ class Batch:
         mask: true where a pixel counts; None if all do.
         source: indices of the view and of its lens.
         divisor: factor by which the photo was downscaled (static).
+        landmarks: world points that the photo shows, padded with NaN; None if they are not asked for.
     """
 
     camera: Camera
@@ -38,6 +40,7 @@ class Batch:
     mask: Bool[Array, "h w"] | None = None
     source: Source = FIRST
     divisor: int = field(default=1, metadata={"static": True})
+    landmarks: Float[Array, "k 3"] | None = None
 
 
 def batches(
@@ -46,6 +49,7 @@ def batches(
     start: int = 0,
     resolution: ResolutionSchedule = Resolution(),
     room: int | float = math.inf,
+    landmarks: bool = False,
 ) -> Iterator[Batch]:
     """Yields all views in random order, then again in another order, without end.
 
@@ -58,9 +62,11 @@ def batches(
         resolution: size of the photos at each step; the first batch is for step 1. It may change between
             batches: a photo that was read ahead at another size is read again.
         room: bytes of memory for decoded photos.
+        landmarks: whether batches have those of their views, if any view has some.
     """
     cache = PhotoCache(views, room)
     origin = sources(views)
+    known = landmarks_of(views) if landmarks else None
     indices = islice(order(len(views), seed, start // len(views)), start % len(views), None)
     sizes = [(view.camera.width, view.camera.height) for view in views]
     with ThreadPoolExecutor(1) as reader:
@@ -70,16 +76,37 @@ def batches(
             divisor = resolution.divisor(step, sizes[index])
             if ahead is None or ahead[0] != divisor:
                 ahead = divisor, reader.submit(cache.frame, index, divisor)
-            frame, here = ahead[1].result(), (origin[index], divisor)
+            frame, here = ahead[1].result(), (origin[index], divisor, None if known is None else known[index])
             index = next(indices)
             divisor = resolution.divisor(step + 1, sizes[index])
             ahead = divisor, reader.submit(cache.frame, index, divisor)
             yield batch(*frame, *here)
 
 
-def batch(camera: Camera, photo: Pixels, mask: Mask | None, source: Source, divisor: int) -> Batch:
+def batch(
+    camera: Camera,
+    photo: Pixels,
+    mask: Mask | None,
+    source: Source,
+    divisor: int,
+    landmarks: Float[np.ndarray, "k 3"] | None = None,
+) -> Batch:
     """Copies a view to the device."""
-    return Batch(camera, jnp.asarray(photo), None if mask is None else jnp.asarray(mask), source, divisor)
+    mask, landmarks = (None if rows is None else jnp.asarray(rows) for rows in (mask, landmarks))
+    return Batch(camera, jnp.asarray(photo), mask, source, divisor, landmarks)
+
+
+def landmarks_of(views: Sequence[View]) -> Float[np.ndarray, "views k 3"] | None:
+    """Returns the landmarks of all views, evenly thinned to `MOST_LANDMARKS` and padded with NaN, or None."""
+    each = [np.zeros((0, 3)) if view.landmarks is None else view.landmarks() for view in views]
+    each = [rows[:: max(1, -(-len(rows) // MOST_LANDMARKS))] for rows in each]
+    most = max(map(len, each))
+    if not most:
+        return None
+    padded = np.full((len(views), most, 3), np.nan, np.float32)
+    for row, rows in zip(padded, each, strict=True):
+        row[: len(rows)] = rows
+    return padded
 
 
 def sources(views: Sequence[View]) -> list[Source]:

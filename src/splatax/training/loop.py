@@ -171,7 +171,8 @@ def _steps(
     if done >= total:
         raise ValueError(f"nothing left to do: {done} of {total} steps are made")
     schedule = Schedule(recipe.steps, total, recipe.resolution)
-    feed = batches(dataset.train, recipe.seed, done, schedule, photo_room)
+    landmarks = bool(recipe.objective.geometry.outputs)
+    feed = batches(dataset.train, recipe.seed, done, schedule, photo_room, landmarks)
     for step, batch in enumerate(feed, done + 1):
         state, loss = train_step(state, batch, recipe)
         if refinement := schedule.refinement(step, recipe.density):

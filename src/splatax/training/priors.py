@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from splatax.gaussians import Gaussians
+from splatax.training.protocols import Prior
 
 
 @dataclass(frozen=True)
@@ -31,3 +32,28 @@ class Sparsity:
         opacity = jnp.sum(jnp.where(living, gaussians.opacities, 0)) / count
         scale = jnp.sum(jnp.where(living[:, None], gaussians.scales, 0)) / (3 * count)
         return self.opacity * opacity + self.scale * scale / extent
+
+
+@dataclass(frozen=True)
+class Flatness:
+    """Penalizes the thickness of Gaussians, so that each is a piece of a surface (Chen et al. 2024, PGSR)."""
+
+    thickness: float = 1.0  # weight of the mean of the least standard deviation, in extents of the scene
+
+    def __call__(self, gaussians: Gaussians, extent: Float[Array, ""]) -> Float[Array, ""]:
+        """Returns the penalty. The mean is over the living Gaussians; empty slots get no gradient."""
+        living = gaussians.opacity_logits > -jnp.inf
+        count = jnp.maximum(jnp.sum(living), 1)
+        least = jnp.min(gaussians.scales, axis=1)
+        return self.thickness * jnp.sum(jnp.where(living, least, 0)) / count / extent
+
+
+@dataclass(frozen=True)
+class Priors:
+    """The sum of several priors."""
+
+    parts: tuple[Prior, ...]
+
+    def __call__(self, gaussians: Gaussians, extent: Float[Array, ""]) -> Float[Array, ""]:
+        """Returns the sum of the penalties."""
+        return sum((part(gaussians, extent) for part in self.parts), start=jnp.zeros(()))

@@ -6,7 +6,7 @@ a part learns or counts during a run is kept in a state, a pytree of arrays that
 and takes back.
 """
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -19,6 +19,7 @@ from splatax.backends.protocol import Photometric
 from splatax.cameras import Camera
 from splatax.dataset import Dataset
 from splatax.gaussians import Gaussians
+from splatax.outputs import Output
 from splatax.splats import Splats
 
 
@@ -111,6 +112,32 @@ class Prior(Hashable, Protocol):
         Args:
             gaussians: the scene; empty slots must get no gradient.
             extent: of the scene, world units.
+        """
+        ...
+
+
+@runtime_checkable
+class Geometry(Hashable, Protocol):
+    """Adds a penalty on what a training view shows of the scene's geometry to the loss."""
+
+    @property
+    def outputs(self) -> Mapping[str, Output]:
+        """What to draw beside the colours, by name; only blended channels. Empty draws nothing.
+
+        It must have equal values for equal settings.
+        """
+        ...
+
+    def __call__(
+        self, images: Mapping[str, Any], camera: Camera, landmarks: Float[Array, "k 3"] | None
+    ) -> Float[Array, ""]:
+        """Returns the penalty, differentiable in the images. Runs under `jit`, and only if there are some.
+
+        Args:
+            images: the outputs by name.
+            camera: of the view.
+            landmarks: world points that the photo shows, with rows of NaN that stand for none; None if the
+                capture knows of none.
         """
         ...
 

@@ -13,6 +13,7 @@ from splatax.training.appearance import NoAppearance
 from splatax.training.backgrounds import Random, Solid
 from splatax.training.camera_refinement import FixedCameras
 from splatax.training.density import ByStep, Classic, Mcmc, Splitting
+from splatax.training.geometry import NoGeometry
 from splatax.training.initialize import FromPoints, InFrusta
 from splatax.training.noise import Langevin
 from splatax.training.optimizer import LearningRates, Optimizer, ViewDepth
@@ -22,6 +23,7 @@ from splatax.training.protocols import (
     Background,
     CameraRefinement,
     DensityStrategy,
+    Geometry,
     Initialization,
     Loss,
     Prior,
@@ -39,6 +41,15 @@ class ShSchedule:
 
 
 @dataclass(frozen=True)
+class Objective:
+    """What training minimizes: the difference to the photos, and penalties on the scene."""
+
+    loss: Loss = Photometric()
+    prior: Prior = NoPrior()
+    geometry: Geometry = NoGeometry()
+
+
+@dataclass(frozen=True)
 class Recipe:
     """All settings of a training run. Hashable: it is static under `jit`.
 
@@ -47,8 +58,7 @@ class Recipe:
 
     steps: int = 30_000
     initialization: Initialization = FromPoints()
-    loss: Loss = Photometric()
-    prior: Prior = NoPrior()
+    objective: Objective = Objective()
     optimizer: Optimizer = Optimizer()
     density: DensityStrategy = Classic()
     appearance: Appearance = NoAppearance()
@@ -92,7 +102,7 @@ def mcmc(steps: int = 30_000, max_gaussians: int = 1_000_000) -> Recipe:
     return Recipe(
         steps=steps,
         initialization=FromPoints(opacity=0.5, scale=0.1),
-        prior=Sparsity(),
+        objective=Objective(prior=Sparsity()),
         optimizer=Optimizer(noise=Langevin()),
         density=Mcmc(until=min(25_000, steps * 5 // 6), max_gaussians=max_gaussians),
     )
@@ -112,7 +122,7 @@ def default(steps: int = 30_000, max_gaussians: int = 1_000_000) -> Recipe:
     return Recipe(
         steps=steps,
         initialization=FromPoints(opacity=0.5, scale=0.1),
-        prior=Sparsity(),
+        objective=Objective(prior=Sparsity()),
         optimizer=Optimizer(
             rates=replace(rates_for(steps), settled=0.05, settling_from=GROWN), reach=ViewDepth()
         ),

@@ -12,10 +12,10 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt8
 
 from splatax import backends
 from splatax.gaussians import Gaussians
-from splatax.outputs import over
+from splatax.outputs import Drawn, Seen, over, unrolled
 from splatax.splats import Splats
 from splatax.stages import composite, project
-from splatax.training import optimizer
+from splatax.training import geometry, optimizer
 from splatax.training.feed import Batch
 from splatax.training.optimizer import LearningRates
 from splatax.training.recipes import Recipe
@@ -125,11 +125,19 @@ def compare(
     """Returns the loss of a view, its splats, and the gradients of the loss."""
     photo = photo_over(batch.photo, background)
     kernels = backends.resolve(recipe.backend)
+    objective = recipe.objective
 
-    def image_loss(splats, appearance):
-        sums, alpha = composite(splats, splats.colors, backend=kernels)
-        image = over(recipe.appearance(appearance, sums, alpha), alpha, background)
-        return recipe.loss(image, photo, batch.mask, kernels.photometric)
+    def image_loss(splats, appearance, channels, camera):
+        painted = unrolled(Seen(splats, None, camera)) if channels else Seen(splats, None, camera)
+        blended = jnp.concatenate([painted.splats.colors, *channels.values()], axis=1)
+        sums, alpha = composite(painted.splats, blended, backend=kernels)
+        image = over(recipe.appearance(appearance, sums[..., :3], alpha), alpha, background)
+        loss = objective.loss(image, photo, batch.mask, kernels.photometric)
+        if not channels:
+            return loss
+        drawn = Drawn(sums[..., 3:], alpha, None, painted, background)
+        images = geometry.finished(objective.geometry.outputs, channels, drawn)
+        return loss + objective.geometry(images, camera, batch.landmarks)
 
     # The filter keeps its size in pixels of the full photo, so that smaller photos do not blur the scene.
     low_pass = replace(recipe.low_pass, variance=recipe.low_pass.variance / batch.divisor**2)
@@ -137,13 +145,18 @@ def compare(
     def project_view(gaussians, correction):
         camera = recipe.camera_refinement(correction, batch.camera, state.extent)
         splats = project(gaussians, camera, low_pass=low_pass, backend=kernels)
-        return recipe.density.watch(splats), recipe.prior(gaussians, state.extent)
+        channels = geometry.channels(objective.geometry.outputs, Seen(splats, gaussians, camera))
+        return (recipe.density.watch(splats), objective.prior(gaussians, state.extent), channels), camera
 
     appearance = recipe.appearance.for_photo(state.appearance, batch.source)
     correction = recipe.camera_refinement.for_photo(state.cameras, batch.source)
-    (splats, prior), pull_back = jax.vjp(project_view, state.gaussians, correction)
-    loss, (d_splats, d_appearance) = jax.value_and_grad(image_loss, argnums=(0, 1))(splats, appearance)
-    d_gaussians, d_camera = pull_back((d_splats, jnp.ones_like(prior)))
+    (splats, prior, channels), pull_back, camera = jax.vjp(
+        project_view, state.gaussians, correction, has_aux=True
+    )
+    loss, (d_splats, d_appearance, d_channels) = jax.value_and_grad(image_loss, argnums=(0, 1, 2))(
+        splats, appearance, channels, camera
+    )
+    d_gaussians, d_camera = pull_back((d_splats, jnp.ones_like(prior), d_channels))
     return loss, splats, Gradients(d_gaussians, d_splats, d_appearance, d_camera)
 
 

@@ -14,8 +14,7 @@ from splatax.training.backgrounds import Solid
 from splatax.training.capacity import bucket_for, pad
 from splatax.training.density.none import NoDensityControl
 from splatax.training.loop import Progress, RunState, first_state, optimize
-from splatax.training.priors import NoPrior
-from splatax.training.recipes import Recipe, ShSchedule, default
+from splatax.training.recipes import Objective, Recipe, ShSchedule, default
 from splatax.training.resolution import Resolution
 
 STEPS = 1000  # half as many lose 0.3 to 0.5 dB on the demo; see docs/formats.md
@@ -32,7 +31,7 @@ def tuning(gaussians: Gaussians, steps: int = STEPS, background: Solid = Solid()
     recipe = default(steps=steps)
     return replace(
         recipe,
-        prior=NoPrior(),
+        objective=Objective(),
         density=NoDensityControl(),
         resolution=Resolution(),
         sh=ShSchedule(degree=harmonics.degree_of(gaussians.sh.shape[1]), every=1),

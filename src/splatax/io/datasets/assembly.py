@@ -1,11 +1,13 @@
 """Turns a capture, in whatever format it came, into a data set of views."""
 
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from splatax.dataset import Dataset, PointCloud, View
 from splatax.errors import DatasetError
@@ -44,7 +46,12 @@ def dataset_of(capture: Capture, downscale: int | None, undistort: bool) -> Data
         for name, frame in sorted(named.items())
     ]
     factor = photos.shrink_factor(sources, capture.already, downscale)
-    views = [source.view(factor, undistort) for source in sources]
+    views = [
+        replace(
+            source.view(factor, undistort), landmarks=landmarks_of(source, named[source.name], capture.home)
+        )
+        for source in sources
+    ]
     train, test = (tuple(views), ()) if capture.held_out is None else parted(capture, views, named)
     points = capture.points
     measured: tuple[str, ...] = ()
@@ -73,6 +80,15 @@ def dataset_of(capture: Capture, downscale: int | None, undistort: bool) -> Data
     survey = photos.survey(sources, unused, errors)
     split = "" if capture.held_out is None else "as the capture's own files define"
     return Dataset(train, test, points, tuple(notes), capture.background, survey, split)
+
+
+def landmarks_of(
+    source: photos.Source, frame: Frame, home: Path
+) -> Callable[[], Float[np.ndarray, "_ 3"]] | None:
+    """Returns the function that reads the known surface points of a photo; None if none are known."""
+    if frame.depth and frame.depth.path.is_file():
+        return partial(depths.landmarks_in, source, frame.depth, home)
+    return frame.landmarks
 
 
 def resampled(sources: list[photos.Source], undistort: bool) -> str:

@@ -51,6 +51,7 @@ class Frame:
         mask: path of the mask, if the file names one.
         depth: depth map, if there is one.
         parallel: true for an orthophoto, whose focal lengths are pixels for a world unit.
+        landmarks: function that returns the points of structure from motion that were observed in the photo.
     """
 
     name: str
@@ -60,6 +61,7 @@ class Frame:
     mask: Path | None = None
     depth: DepthMap | None = None
     parallel: bool = False
+    landmarks: Callable[[], Float[np.ndarray, "_ 3"]] | None = None
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float
 
 from splatax.dataset import PointCloud
 from splatax.errors import DatasetError, shown
@@ -64,6 +65,7 @@ def read(path: Path, downscale: int | None) -> Capture:
             photo,
             always(model.camera(registered[name].camera_id)),
             registered[name].cam_from_world().matrix(),
+            landmarks=partial(points_observed, model, registered[name]),
         )
         for name, photo in photos_of(registered, folder).items()
     ]
@@ -139,6 +141,13 @@ def point_cloud(path: Path, model: "pycolmap.Reconstruction") -> PointCloud:
         )
     colors = np.array([point.color for point in points], np.float32).reshape(-1, 3) / 255
     return PointCloud(positions, colors)
+
+
+def points_observed(model: "pycolmap.Reconstruction", image: "pycolmap.Image") -> Float[np.ndarray, "_ 3"]:
+    """Returns the points that the model says are seen in an image."""
+    observed = (point.point3D_id for point in image.get_observation_points2D())
+    points = [model.point3D(number).xyz for number in observed if model.exists_point3D(number)]
+    return np.array(points, np.float32).reshape(-1, 3)
 
 
 def photos_of(registered: "dict[str, pycolmap.Image]", folder: Path) -> dict[str, Path]:

@@ -1,6 +1,6 @@
 """Points from depth maps: pixels with known depth, moved into the world.
 
-They are the initial points of a capture that has no sparse points.
+They are the initial points of a capture that has no sparse points, and landmarks of their photos.
 """
 
 from collections.abc import Mapping
@@ -19,6 +19,7 @@ from splatax.io.datasets.capture import NO_POINTS, DepthMap, cloud
 from splatax.io.datasets.photos import Source, counted
 
 MOST_POINTS = 100_000  # of all depth maps together
+MOST_LANDMARKS = 8_192  # of one depth map
 MOST_MAPS = 64  # evenly spaced over the capture; photos are decoded for their colours
 WAY_OUT = "Export the depth again, or remove it."
 
@@ -52,6 +53,25 @@ def points_in(
     source: Source, depth: DepthMap, most: int, capture: Path
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
     """Returns positions and colours of an evenly spaced sample of a photo's pixels with known depth."""
+    positions, where = measured(source, depth, most, capture)
+    pixels = images.read(source.path, upright=source.upright, divisor=source.divisor)
+    colors = pixels[where[:, 1].astype(int), where[:, 0].astype(int), :3].astype(np.float64) / 255
+    return positions, colors
+
+
+def landmarks_in(source: Source, depth: DepthMap, capture: Path) -> Float[np.ndarray, "n 3"]:
+    """Returns the positions of an evenly spaced sample of a photo's pixels with known depth.
+
+    Raises:
+        DatasetError: if the depth map is damaged, or its proportions are not those of its photo.
+    """
+    return measured(source, depth, MOST_LANDMARKS, capture)[0].astype(np.float32)
+
+
+def measured(
+    source: Source, depth: DepthMap, most: int, capture: Path
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 2"]]:
+    """Returns positions and pixels of an evenly spaced sample of a photo's pixels with known depth."""
     distances = read(depth, capture)
     height, width = distances.shape
     camera = source.camera
@@ -65,10 +85,7 @@ def points_in(
     rows, columns = rows[::step], columns[::step]
     # COLMAP's origin is the photo's corner, so pixel centres are at halves.
     where = np.stack([(columns + 0.5) * camera.width / width, (rows + 0.5) * camera.height / height], axis=1)
-    positions = points_at(source.camera_as_it_is(), where, distances[rows, columns])
-    pixels = images.read(source.path, upright=source.upright, divisor=source.divisor)
-    colors = pixels[where[:, 1].astype(int), where[:, 0].astype(int), :3].astype(np.float64) / 255
-    return positions, colors
+    return points_at(source.camera_as_it_is(), where, distances[rows, columns]), where
 
 
 def read(depth: DepthMap, capture: Path) -> Float[np.ndarray, "h w"]:

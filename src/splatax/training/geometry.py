@@ -1,0 +1,206 @@
+"""Regularizers that make Gaussians lie on surfaces: penalties on what a training view shows of geometry.
+
+    spread        sqrt(E[w^2] - E[w]^2) / E[w]    how far the planes of the Gaussians at a pixel lie apart
+    consistency   1 - E[n] . N                    whether their normals agree with that of the depth image
+    points        |z_known E[w] - 1|              whether the depth is that of the known points
+
+E is the mean over the Gaussians at a pixel, weighted like colour; w the inverse depth of a Gaussian's plane
+at the pixel, n its normal, and N the normal of the depth image 1 / E[w].
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from splatax.cameras import Camera
+from splatax.outputs import (
+    OUTPUTS,
+    Drawn,
+    Output,
+    Seen,
+    from_middle,
+    surface_channels,
+    surface_depth,
+    unrolled,
+)
+from splatax.surfaces import normals_of
+
+LEAST_VARIANCE = 1e-8  # of relative depth, below which float32 cannot tell it from zero
+
+
+@dataclass(frozen=True)
+class NoGeometry:
+    """Draws nothing and adds no penalty."""
+
+    @property
+    def outputs(self) -> Mapping[str, Output]:
+        """Nothing."""
+        return {}
+
+    def __call__(
+        self, images: Mapping[str, Any], camera: Camera, landmarks: Float[Array, "k 3"] | None
+    ) -> Float[Array, ""]:
+        """Returns zero."""
+        return jnp.zeros(())
+
+
+@dataclass(frozen=True)
+class Surfaces:
+    """Penalizes depth spread, inconsistent normals and wrong depths of landmarks. A weight of 0 omits a part.
+
+    Attributes:
+        spread: weight of the standard deviation of inverse depth along each ray, relative to its mean.
+        consistency: weight of 1 minus the cosine between the Gaussians' normals and that of the depth image
+            (Huang et al. 2024, Eq. 14).
+        points: weight of the relative depth error at landmarks.
+    """
+
+    spread: float = 0.2
+    consistency: float = 0.05
+    points: float = 0.2
+
+    @property
+    def outputs(self) -> Mapping[str, Output]:
+        """The outputs that the parts with a weight need."""
+        if not (self.spread or self.consistency or self.points):
+            return {}
+        needed = {"layers": LAYERS if self.spread else ONE_LAYER}
+        if self.consistency:
+            needed["facing"] = FACING
+        return needed
+
+    def __call__(
+        self, images: Mapping[str, Any], camera: Camera, landmarks: Float[Array, "k 3"] | None
+    ) -> Float[Array, ""]:
+        """Returns the sum of the penalties; see `splatax.training.protocols.Geometry`."""
+        depth, spread = images["layers"]
+        penalty = self.spread * jnp.mean(spread)
+        if self.consistency:
+            penalty += self.consistency * inconsistency(images["facing"], depth, camera)
+        if self.points and landmarks is not None:
+            penalty += self.points * error_at(landmarks, depth, camera)
+        return penalty
+
+
+def inconsistency(
+    facing: Float[Array, "h w 4"], depth: Float[Array, "h w"], camera: Camera
+) -> Float[Array, ""]:
+    """Returns the mean of alpha (1 - E[n] . N), where N is the normal of the depth image.
+
+    Pixels beside one that shows nothing, for which N does not exist, do not count.
+
+    Args:
+        facing: sums of weighted normals, and alpha.
+        depth: depth by the lens, world units; 0 where nothing is.
+        camera: of the view.
+    """
+    normal = normals_of(camera, depth)
+    exists = jnp.any(normal != 0, axis=-1)
+    cosine = jnp.sum(facing[..., :3] * normal, axis=-1)
+    return jnp.mean(jnp.where(exists, facing[..., 3] - cosine, 0))
+
+
+def error_at(landmarks: Float[Array, "k 3"], depth: Float[Array, "h w"], camera: Camera) -> Float[Array, ""]:
+    """Returns the mean relative error of inverse depth at the pixels of points that the view shows.
+
+    Args:
+        landmarks: world points; rows that are not finite stand for none.
+        depth: depth by the lens, world units; 0 where nothing is.
+        camera: of the view.
+    """
+    ahead = camera.position + camera.rotation[2]
+
+    def one(point):
+        known = jnp.all(jnp.isfinite(point))
+        point = jnp.where(known, point, ahead)
+        seen = known & camera.lens.sees(camera.rotation @ point + camera.translation)
+        local = camera.to_camera(jnp.where(seen, point, ahead))
+        x, y = jnp.floor(camera.to_pixel(local)).astype(jnp.int32)
+        inside = seen & (x >= 0) & (y >= 0) & (x < camera.width) & (y < camera.height)
+        drawn = depth[jnp.clip(y, 0, camera.height - 1), jnp.clip(x, 0, camera.width - 1)]
+        counts = inside & (drawn > 0)
+        error = camera.lens.depth(local) / jnp.where(counts, drawn, 1) - 1
+        return jnp.where(counts, jnp.abs(error), 0), counts
+
+    errors, counts = jax.vmap(one)(landmarks)
+    return jnp.sum(errors) / jnp.maximum(jnp.sum(counts), 1)
+
+
+class Layers(NamedTuple):
+    """What the planes of the Gaussians at a pixel say of its depth.
+
+    Attributes:
+        depth: that of the output "surface_depth"; 0 where nothing is.
+        spread: alpha times the standard deviation of the planes' inverse depth, relative to its mean.
+    """
+
+    depth: Float[Array, "h w"]
+    spread: Float[Array, "h w"]
+
+
+def _moments(seen: Seen) -> Float[Array, "n 9"]:
+    """Returns the planes a + x p + y q of each Gaussian, and the six coefficients of their squares."""
+    a, x, y = surface_channels(seen).T
+    return jnp.stack([a, x, y, a * a, 2 * a * x, 2 * a * y, x * x, 2 * x * y, y * y], axis=1)
+
+
+def _layers(drawn: Drawn) -> Layers:
+    assert drawn.sums is not None
+    assert drawn.alpha is not None
+    p, q = jnp.moveaxis(from_middle(drawn.splats, drawn.sums.dtype), -1, 0)
+    powers = jnp.stack([jnp.ones_like(p), p, q, p * p, p * q, q * q], axis=-1)
+    first = jnp.sum(drawn.sums[..., :3] * powers[..., :3], axis=-1)
+    second = jnp.sum(drawn.sums[..., 3:] * powers, axis=-1)
+    covered = (drawn.alpha > 0) & (first > 0)
+    mean = jnp.where(covered, first, 1)
+    # The standard deviation has an infinite slope at zero.
+    ratio = jnp.maximum(second * drawn.alpha / (mean * mean) - 1, 0) + LEAST_VARIANCE
+    spread = jnp.where(covered, drawn.alpha * jnp.sqrt(ratio), 0)
+    return Layers(jnp.where(covered, drawn.alpha / mean, 0), spread)
+
+
+def _one_layer(drawn: Drawn) -> Layers:
+    depth = surface_depth(drawn)
+    return Layers(depth, jnp.zeros_like(depth))
+
+
+def _normals_and_alpha(drawn: Drawn) -> Float[Array, "h w 4"]:
+    assert drawn.sums is not None
+    assert drawn.alpha is not None
+    return jnp.concatenate([drawn.sums, drawn.alpha[..., None]], axis=-1)
+
+
+def channels(outputs: Mapping[str, Output], seen: Seen) -> dict[str, Float[Array, "n _"]]:
+    """Returns what the outputs blend, by their names; nothing if there are none."""
+    if not outputs:
+        return {}
+    painted = unrolled(seen)
+    return {name: output.channels(painted) for name, output in outputs.items() if output.channels}
+
+
+def finished(
+    outputs: Mapping[str, Output], channels: Mapping[str, Float[Array, "n _"]], drawn: Drawn
+) -> dict[str, Any]:
+    """Returns the outputs by their names.
+
+    Args:
+        outputs: made of blended channels alone.
+        channels: theirs, by name.
+        drawn: the view; its sums are those of all channels, side by side.
+    """
+    ends = np.cumsum([values.shape[1] for values in channels.values()])
+    parts = jnp.split(drawn.sums, ends[:-1], axis=2)
+    return {
+        name: outputs[name].finish(drawn._replace(sums=sums))
+        for name, sums in zip(channels, parts, strict=True)
+    }
+
+
+LAYERS = Output(_layers, _moments)
+ONE_LAYER = Output(_one_layer, surface_channels)
+FACING = Output(_normals_and_alpha, OUTPUTS["normals"].channels)

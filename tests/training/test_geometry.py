@@ -1,0 +1,184 @@
+"""Regularizers of geometry: values on scenes that can be written down, gradients, and training."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+
+import splatax as sx
+from scenes import camera_at, plane_of_gaussians, random_gaussians, with_slots
+from splatax import backends
+from splatax.outputs import OUTPUTS, Output
+from splatax.surfaces import positions_of
+from splatax.training.feed import MOST_LANDMARKS, Batch, landmarks_of
+from splatax.training.geometry import FACING, LAYERS, Surfaces, error_at, inconsistency
+from splatax.training.loop import first_state
+from splatax.training.priors import Flatness, Priors, Sparsity
+from splatax.training.recipes import Objective
+from splatax.training.step import compare
+from training.test_training import RECIPE, capture
+
+CAMERA = camera_at((0.3, 0.2, -3.0), size=(32, 24))
+FRONT = np.array([0.0, 0.0, -1.0])
+SURFACES = Surfaces(spread=0.3, consistency=0.2, points=0.4)
+
+
+def test_the_spread_of_two_layers_is_their_standard_deviation():
+    """The layers have the weights 0.6 and 0.4 * 0.5, and the inverse depths 1 / 2 and 1 / 4."""
+    layers = [
+        replace(
+            plane_of_gaussians(FRONT, n=1, half=0.0, sigma=3.0, opacity=opacity),
+            means=jnp.array([[0.0, 0.0, depth]]),
+        )
+        for depth, opacity in ((2.0, 0.6), (4.0, 0.5))
+    ]
+    both = jax.tree.map(lambda *rows: jnp.concatenate(rows), *layers)
+    camera = replace(sx.Camera.simple_pinhole(30.0, jnp.eye(4), 1, 1), cx=jnp.float32(0.5))
+    drawn = sx.render(both, camera, outputs={"layers": LAYERS, "alpha": OUTPUTS["alpha"]})
+    weights, near = np.array([0.6, 0.2]), np.array([1 / 2, 1 / 4])
+    mean = weights @ near / weights.sum()
+    deviation = np.sqrt(weights @ (near - mean) ** 2 / weights.sum())
+    assert_allclose(drawn.layers.spread[0, 0], drawn.alpha[0, 0] * deviation / mean, rtol=2e-3)
+
+
+def test_one_layer_has_no_spread_and_is_consistent():
+    outputs = {"layers": LAYERS, "facing": FACING, "surface_depth": OUTPUTS["surface_depth"]}
+    camera = camera_at((1.0, 0.0, -3.0))  # the plane is seen at an angle
+    drawn = sx.render(plane_of_gaussians(FRONT, n=2000, half=3.0, sigma=0.3), camera, outputs=outputs)
+    assert float(drawn.layers.spread.max()) < 2e-3  # rounding of float32
+    assert_allclose(drawn.layers.depth, drawn.surface_depth, rtol=1e-5)
+    assert abs(inconsistency(drawn.facing, drawn.surface_depth, camera)) < 1e-5
+    tilted = drawn.facing.at[..., :3].set(0.5 * drawn.facing[..., :3])  # a cosine of 1 / 2
+    assert_allclose(inconsistency(tilted, drawn.surface_depth, camera), 0.5, atol=1e-3)
+
+
+def test_the_error_at_landmarks_counts_those_that_the_view_shows():
+    depth = jnp.full((24, 32), 3.0)
+    points = positions_of(CAMERA, 1.1 * depth).reshape(-1, 3)
+    aside, behind = points[:5] + jnp.array([[90.0, 0, 0]]), 2 * CAMERA.position[None] - points[:5]
+    known = jnp.concatenate([points, aside, behind, jnp.full((7, 3), jnp.nan)])
+    assert_allclose(error_at(known, depth, CAMERA), 0.1, rtol=1e-4)
+    assert error_at(known[-7:], depth, CAMERA) == 0
+    assert error_at(known, 0 * depth, CAMERA) == 0
+    gradient = jax.grad(lambda depth: error_at(known, depth, CAMERA))(depth)
+    assert np.isfinite(gradient).all()
+    assert (np.asarray(gradient) < 0).any()  # farther is better
+
+
+def test_the_penalty_has_the_gradient_of_finite_differences(x64):
+    gaussians = random_gaussians(n=12, degree=0, scale=(0.3, 0.6), dtype=np.float64)
+    camera = camera_at((0.3, 0.2, -3.0), size=(8, 6), focal=8.0, dtype=np.float64)
+    landmarks = jnp.asarray(np.random.default_rng(0).uniform(-0.5, 0.5, (9, 3)))
+
+    @jax.jit
+    def penalty(gaussians):
+        drawn = sx.render(gaussians, camera, outputs=SURFACES.outputs, backend="xla")
+        return SURFACES(drawn.images, camera, landmarks)
+
+    gradient = jax.jit(jax.grad(penalty))(gaussians)
+    rng = np.random.default_rng(1)
+    for _ in range(3):
+        direction = jax.tree.map(lambda leaf: jnp.asarray(rng.normal(size=leaf.shape)), gaussians)
+        sides = [
+            penalty(jax.tree.map(lambda p, d, s=step: p + s * d, gaussians, direction))
+            for step in (1e-7, -1e-7)
+        ]
+        along = sum(map(jnp.vdot, jax.tree.leaves(gradient), jax.tree.leaves(direction)))
+        assert along != 0
+        assert_allclose(along, (sides[0] - sides[1]) / 2e-7, rtol=2e-4, atol=1e-7)
+
+
+def test_a_step_adds_the_penalty_and_its_gradient_to_those_of_the_photo():
+    dataset, camera = capture(), capture().train[0].camera
+    recipe = replace(RECIPE, backend=backends.resolve("auto"))
+    state = first_state(recipe.initialization(dataset, 1, 0), recipe, 1.0, 5)
+    landmarks = jnp.asarray(dataset.points.positions)
+    batch = Batch(camera, jnp.asarray(dataset.train[0].pixels()), landmarks=landmarks)
+
+    def penalty(gaussians):
+        drawn = sx.render(gaussians, camera, outputs=SURFACES.outputs, low_pass=recipe.low_pass)
+        return SURFACES(drawn.images, camera, landmarks)
+
+    def step(geometry):
+        chosen = replace(recipe, objective=replace(recipe.objective, geometry=geometry))
+        loss, _, gradients = jax.jit(lambda state: compare(state, batch, chosen, jnp.zeros(3)))(state)
+        return loss, gradients.gaussians
+
+    plain, without = step(recipe.objective.geometry)
+    total, found = step(SURFACES)
+    value, gradient = jax.jit(jax.value_and_grad(penalty))(state.gaussians)
+    assert value > 0.01
+    assert_allclose(total, plain + value, rtol=1e-5)
+    for whole, photo, part in zip(*map(jax.tree.leaves, (found, without, gradient)), strict=True):
+        assert_allclose(whole, photo + part, atol=1e-3 * max(float(jnp.abs(whole).max()), 1e-6))
+
+
+def test_without_regularizers_only_colours_are_drawn():
+    widths = []
+    portable = backends.resolve("xla")
+
+    def composite(splats, channels):
+        widths.append(channels.shape[1])
+        return portable.composite(splats, channels)
+
+    dataset = capture()
+    batch = Batch(dataset.train[0].camera, jnp.asarray(dataset.train[0].pixels()))
+    for geometry in (Objective().geometry, Surfaces(0.1, 0.0, 0.0), Surfaces(0.1, 0.1, 0.0)):
+        kernels = replace(portable, name=f"counting {geometry}", composite=composite)
+        recipe = replace(RECIPE, backend=kernels, objective=Objective(geometry=geometry))
+        state = first_state(recipe.initialization(dataset, 1, 0), recipe, 1.0, 5)
+        jax.eval_shape(lambda state, recipe=recipe: compare(state, batch, recipe, jnp.zeros(3))[0], state)
+    assert sorted(set(widths)) == [3, 12, 15]
+
+
+def test_training_with_surfaces_moves_the_drawn_depth_to_the_landmarks():
+    dataset = capture()
+    points = dataset.points.positions
+    views = tuple(replace(view, landmarks=lambda: points) for view in dataset.train)
+    recipe = replace(RECIPE, steps=12)
+    errors = []
+    for weight in (0.0, 5.0):
+        objective = Objective(geometry=Surfaces(0.0, 0.0, weight))
+        trained = sx.fit(replace(dataset, train=views), replace(recipe, objective=objective))
+        depth = sx.render(trained, views[0].camera, outputs=("surface_depth",)).surface_depth
+        errors.append(error_at(jnp.asarray(points), depth, views[0].camera))
+    assert errors[1] < 0.9 * errors[0]
+
+
+def test_landmarks_of_all_views_have_one_shape():
+    dataset = capture()
+    many = np.arange(3 * (MOST_LANDMARKS + 5), dtype=np.float32).reshape(-1, 3)
+    views = [
+        replace(dataset.train[0], landmarks=lambda: many),
+        dataset.train[1],
+        replace(dataset.train[2], landmarks=lambda: many[:2]),
+    ]
+    rows = landmarks_of(views)
+    assert rows.shape == (3, (MOST_LANDMARKS + 6) // 2, 3)
+    assert_array_equal(rows[0], many[::2])
+    assert np.isnan(rows[1]).all()
+    assert_array_equal(rows[2, :2], many[:2])
+    assert np.isnan(rows[2, 2:]).all()
+    assert landmarks_of(dataset.train) is None
+
+
+def test_flatness_is_the_mean_thickness_of_the_living():
+    gaussians = with_slots([0.3, 0.7, 0.5])
+    expected = 2 * np.mean(np.min(np.asarray(gaussians.scales[:3]), axis=1)) / 4
+    assert_allclose(Flatness(2.0)(gaussians, jnp.float32(4.0)), expected, rtol=1e-6)
+    gradient = jax.grad(Flatness())(gaussians, jnp.float32(4.0)).log_scales
+    assert_array_equal(gradient[3:], 0)
+    assert ((np.asarray(gradient[:3]) > 0).sum(axis=1) == 1).all()
+    both = Priors((Sparsity(), Flatness(2.0)))
+    assert_allclose(
+        both(gaussians, jnp.float32(4)), Sparsity()(gaussians, jnp.float32(4)) + expected, rtol=1e-6
+    )
+
+
+def test_an_output_of_ones_own_can_be_a_regularizer():
+    """Settings that compare equal have outputs that do, so that steps share one compiled program."""
+    assert Surfaces() == Surfaces()
+    assert Surfaces().outputs == Surfaces().outputs
+    assert all(isinstance(output, Output) for output in Surfaces().outputs.values())

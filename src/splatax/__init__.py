@@ -19,11 +19,13 @@ HOMES = {  # public name -> module here that defines it
     "FormatError": "errors",
     "Gaussians": "gaussians",
     "InputError": "errors",
+    "Part": "scene",
     "PointCloud": "dataset",
     "Progress": "training.loop",
     "Recipe": "training.recipes",
     "Renderer": "rendering",
     "Rendering": "outputs",
+    "Scene": "scene",
     "Scores": "evaluation",
     "Sky": "sky",
     "Splats": "splats",
@@ -54,6 +56,7 @@ SUBMODULES = {  # public name -> module here
     "outputs": "outputs",
     "recipes": "training.recipes",
     "reconstruction": "reconstruction",
+    "scene": "scene",
     "splits": "splits",
     "training": "training",
     "trajectories": "trajectories",
@@ -71,6 +74,7 @@ if TYPE_CHECKING:  # the same names, for type checkers and editors; tests/test_i
     from splatax import metrics as metrics
     from splatax import outputs as outputs
     from splatax import reconstruction as reconstruction
+    from splatax import scene as scene
     from splatax import splits as splits
     from splatax import training as training
     from splatax import trajectories as trajectories
@@ -102,6 +106,8 @@ if TYPE_CHECKING:  # the same names, for type checkers and editors; tests/test_i
     from splatax.rendering import rasterize as rasterize
     from splatax.rendering import render as render
     from splatax.runs import forecast as forecast
+    from splatax.scene import Part as Part
+    from splatax.scene import Scene as Scene
     from splatax.sky import Sky as Sky
     from splatax.splats import Splats as Splats
     from splatax.stages import composite as composite

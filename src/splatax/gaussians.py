@@ -1,6 +1,7 @@
 """Scenes: 3D Gaussians, stored as the unconstrained parameters that are optimized."""
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
@@ -85,6 +86,19 @@ def checked(gaussians: Gaussians) -> Gaussians:
     )
     harmonics.degree_of(sizes["k"])
     return gaussians
+
+
+def joined(scenes: Sequence[Gaussians]) -> Gaussians:
+    """Returns the rows of scenes that share one low-pass filter, one scene after another.
+
+    Harmonics that only some of them have become zeros in the others.
+    """
+    most = max(scene.sh.shape[1] for scene in scenes)
+    padded = [
+        replace(scene, sh=jnp.pad(scene.sh, ((0, 0), (0, most - scene.sh.shape[1]), (0, 0))))
+        for scene in scenes
+    ]
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *padded)
 
 
 def is_sound(

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from splatax import splats as views
@@ -26,12 +27,19 @@ BackgroundArray = Float[Array, "3"] | Float[Array, "h w 3"]
 class Seen(NamedTuple):
     """Input of `Output.channels`: one view's splats, and the scene and camera that they come from.
 
-    Scene and camera are None where splats are drawn by themselves.
+    Scene, camera and sizes are None where splats are drawn by themselves.
+
+    Attributes:
+        splats: the 2D Gaussians of the view.
+        gaussians: the scene in world coordinates, also if it has parts; one row for each splat, in order.
+        camera: the view.
+        sizes: the number of Gaussians of each part. A scene without parts is one.
     """
 
     splats: Splats
     gaussians: Gaussians | None
     camera: Camera | None
+    sizes: tuple[int, ...] | None = None
 
 
 class Drawn(NamedTuple):
@@ -53,7 +61,7 @@ class Contributors(NamedTuple):
     """The Gaussians that contribute most to each pixel, largest weight first.
 
     Attributes:
-        indices: rows of the scene; -1 where fewer Gaussians are drawn.
+        indices: rows of the scene; -1 where fewer Gaussians are drawn. `Scene.part_of` finds their parts.
         weights: the fractions of the pixel that they fill; 0 where fewer are drawn. Without a gradient.
     """
 
@@ -180,6 +188,20 @@ def distances(seen: Seen) -> Float[Array, "n 1"]:
     return jnp.where(apart, jnp.sqrt(jnp.where(apart, squared, 1)), 0)[:, None]
 
 
+def part_rows(seen: Seen) -> Float[Array, "n p"]:
+    """Returns 1 for each Gaussian in the column of its part, and 0 elsewhere.
+
+    Raises:
+        ValueError: if there are only splats, which have no parts.
+    """
+    if seen.sizes is None:
+        raise ValueError("output 'parts' needs the scene: use render instead of rasterize.")
+    part = np.repeat(np.arange(len(seen.sizes)), seen.sizes)
+    copies = seen.splats.depths.shape[0] // max(len(part), 1)  # 2 where splats are on both sides of a seam
+    part = np.tile(part, copies)
+    return jnp.asarray(part[:, None] == np.arange(len(seen.sizes))[None], seen.splats.depths.dtype)
+
+
 def _rgb(drawn: Drawn) -> Float[Array, "h w 3"]:
     assert drawn.sums is not None
     assert drawn.alpha is not None
@@ -218,6 +240,7 @@ OUTPUTS: dict[str, Output] = {
     "surface_depth": Output(surface_depth, surface_channels),
     "median_surface_depth": Output(median_surface_depth, selected=0),
     "normals": Output(normals, lambda seen: planes(*_scene_of(seen, "normals"), seen.splats).normals),
+    "parts": Output(lambda drawn: drawn.sums, part_rows),
     "contributors": Output(contributors(8).finish, selected=8),
 }
 STANDARD = ("rgb", "alpha", "depth")
@@ -259,6 +282,7 @@ class Rendering:
         surface_depth [h w]    depth of the blended planes of the Gaussians at the pixel; 0 if none
         median_surface_depth   [h w]: depth of the plane of the Gaussian that makes it half opaque; 0 if none
         normals       [h w 3]  mean normal of these planes, unit vectors in the world; 0 if none
+        parts         [h w p]  fraction of the pixel that each part of a `Scene` fills; their sum is alpha
         contributors           `Contributors`: the Gaussians with the largest weights, and the weights
 
     Attributes:

@@ -14,13 +14,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from splatax import backends
-from splatax import gaussians as scenes
 from splatax import splats as views
 from splatax.backends.protocol import Kernels, Selection
 from splatax.cameras import Camera
 from splatax.cameras.geometry import rays
 from splatax.footprints import EWA, Method
-from splatax.gaussians import Gaussians
 from splatax.low_pass import LowPass
 from splatax.outputs import (
     STANDARD,
@@ -33,6 +31,7 @@ from splatax.outputs import (
     resolve,
     unrolled,
 )
+from splatax.scene import Drawable, seen
 from splatax.shapes import check_arrays
 from splatax.sky import Surroundings
 from splatax.splats import Splats
@@ -45,6 +44,7 @@ from splatax.varying import vary_together
 BLACK = np.zeros(3, np.float32)
 WHITE = np.ones(3, np.float32)
 
+Source = tuple[Drawable, Camera] | None  # None where splats are drawn by themselves
 Features = Mapping[str, Float[Array, "n _"]]
 BackgroundLike = (
     tuple[float, float, float] | BackgroundArray | Float[np.ndarray, "3"] | Float[np.ndarray, "h w 3"]
@@ -74,20 +74,18 @@ class Renderer:
 
     def __call__(
         self,
-        gaussians: Gaussians,
+        scene: Drawable,
         camera: Camera,
         outputs: Outputs = STANDARD,
         features: Features | None = None,
     ) -> Rendering:
         """Renders a scene; see `render`."""
         requested = resolve(outputs)
-        scenes.checked(gaussians)
-        kernels = backends.resolve(self.backend, dtype_of(gaussians.means))
-        splats = project(
-            gaussians, camera, low_pass=self.low_pass, backend=kernels, projection=self.projection
-        )
-        seen = Seen(splats, gaussians, camera)
-        return _draw(seen, self.behind(camera), features or {}, requested, kernels)
+        scene = seen.checked(scene)
+        first, *_ = seen.means_of(scene).values()
+        kernels = backends.resolve(self.backend, dtype_of(first))
+        splats = project(scene, camera, low_pass=self.low_pass, backend=kernels, projection=self.projection)
+        return _draw(splats, (scene, camera), self.behind(camera), features or {}, requested, kernels)
 
     def behind(self, camera: Camera) -> BackgroundLike:
         """Returns the background that a camera sees: one colour, or one for each pixel."""
@@ -97,7 +95,7 @@ class Renderer:
 
 
 def render(
-    gaussians: Gaussians,
+    scene: Drawable,
     camera: Camera,
     *,
     outputs: Outputs = STANDARD,
@@ -113,7 +111,7 @@ def render(
     "median_surface_depth" have that of the one Gaussian that they show, and "contributors" has none.
 
     Args:
-        gaussians: the scene.
+        scene: Gaussians, or a `Scene` of parts.
         camera: the view; its width and height are static under `jit`. For several views, use `jax.vmap`.
         outputs: what to render: names from `splatax.outputs.OUTPUTS`, or a mapping from names to outputs of
             your own. Outputs that are not requested are not computed.
@@ -121,7 +119,8 @@ def render(
             colour, without a background, and returned under the same names.
         background: RGB seen through what transmittance remains: one colour, one for each pixel, or a function
             of the direction of view, such as `Sky`.
-        low_pass: filter, such as `Antialiasing(0.3)`; None for the one that the scene was trained with.
+        low_pass: filter, such as `Antialiasing(0.3)`; None for the one that the scene, or each of its parts,
+            was trained with.
         backend: "auto", the name of a backend, or kernels of your own.
         projection: how a Gaussian's image is found, `Ewa()` or `Unscented()`; see `splatax.footprints`.
 
@@ -129,7 +128,7 @@ def render(
         ValueError: if the shapes or dtypes of the arrays do not fit together, an output is unknown, or the
             backend is unknown or not available here.
     """
-    return Renderer(background, low_pass, backend, projection)(gaussians, camera, outputs, features)
+    return Renderer(background, low_pass, backend, projection)(scene, camera, outputs, features)
 
 
 def rasterize(
@@ -149,18 +148,18 @@ def rasterize(
     requested = resolve(outputs)
     views.checked(splats)
     kernels = backends.resolve(backend, dtype_of(splats.means2d))
-    return _draw(Seen(splats, None, None), background, features or {}, requested, kernels)
+    return _draw(splats, None, background, features or {}, requested, kernels)
 
 
 def _draw(
-    seen: Seen,
+    splats: Splats,
+    source: Source,
     background: BackgroundLike,
     features: Features,
     requested: tuple[tuple[str, Output], ...],
     kernels: Kernels,
 ) -> Rendering:
     """Checks background and features, and draws them with the requested outputs."""
-    splats = seen.splats
     named = {f"features[{name!r}]": (values, "n f") for name, values in features.items()}
     for name, values in named.items():  # each has a width of its own
         check_arrays("Splats", {"means2d": (splats.means2d, "n 2"), name: values})
@@ -170,21 +169,24 @@ def _draw(
             f"background has shape {behind.shape}. Give one colour, (3,), or one for each pixel, "
             f"{(splats.height, splats.width, 3)}."
         )
-    return _finish(seen, behind, dict(features), requested, kernels)
+    return _finish(splats, source, behind, dict(features), requested, kernels)
 
 
 @partial(jax.jit, static_argnames=("requested", "kernels"))
 def _finish(
-    seen: Seen,
+    splats: Splats,
+    source: Source,
     background: BackgroundArray,
     features: Features,
     requested: tuple[tuple[str, Output], ...],
     kernels: Kernels,
 ) -> Rendering:
-    seen, background, features = vary_together(seen, background, features)
-    splats = seen.splats
-    painted = unrolled(seen)
-    if painted is not seen:
+    splats, source, background, features = vary_together(splats, source, background, features)
+    view = Seen(splats, None, None)
+    if source is not None:  # the compiler removes what no output uses of the Gaussians in the world
+        view = Seen(splats, seen.in_world(source[0]), source[1], seen.sizes_of(source[0]))
+    painted = unrolled(view)
+    if painted is not view:
         features = jax.tree.map(lambda rows: jnp.concatenate([rows, rows]), features)
     channels = {("image", name): output.channels(painted) for name, output in requested if output.channels}
     channels |= {("feature", name): values for name, values in features.items()}
@@ -205,7 +207,7 @@ def _finish(
         own = None
         if selection is not None and count is not None:
             own = Selection(selection.indices[..., :count], selection.weights[..., :count], selection.median)
-        return Drawn(sums.get(("image", name)), alpha, own, seen, background)
+        return Drawn(sums.get(("image", name)), alpha, own, view, background)
 
     return Rendering(
         images={name: output.finish(drawn(name, output)) for name, output in requested},

@@ -4,6 +4,7 @@ Projection computes them from a scene and a camera, and a rasterizer draws them.
 cotangent, the gradient of the loss with respect to the splats.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import jax
@@ -81,6 +82,19 @@ def checked(splats: Splats, channels: Float[Array, "n c"] | None = None) -> Spla
     check_arrays("Splats", arrays)
     check_size("Splats", splats.width, splats.height)
     return splats
+
+
+def joined(views: Sequence[Splats]) -> Splats:
+    """Returns the splats of several scenes in one view, one scene after another.
+
+    The views must have one size and one period. The result is drawn in the order of its depths.
+    """
+    first, period = views[0], views[0].period
+    rows = [replace(splats, period=None) for splats in views]
+    return replace(
+        first if len(views) == 1 else jax.tree.map(lambda *arrays: jnp.concatenate(arrays), *rows),
+        period=period,
+    )
 
 
 def unrolled(splats: Splats, channels: Float[Array, "n c"]) -> tuple[Splats, Float[Array, "m c"]]:

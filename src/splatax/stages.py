@@ -8,20 +8,19 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from splatax import backends, cameras
-from splatax import gaussians as scenes
 from splatax import splats as views
 from splatax.backends.protocol import MOST_SELECTED, Kernels, Selection
 from splatax.cameras import Camera
 from splatax.footprints import EWA, Method
-from splatax.gaussians import Gaussians
 from splatax.low_pass import LowPass
+from splatax.scene import Drawable, seen
 from splatax.shapes import check_dtypes
 from splatax.splats import Splats
 from splatax.varying import vary_together
 
 
 def project(
-    gaussians: Gaussians,
+    scene: Drawable,
     camera: Camera,
     *,
     low_pass: LowPass | None = None,
@@ -31,11 +30,11 @@ def project(
     """Projects a scene: the first half of `render`. Differentiable in the scene and the camera.
 
     Culled rows have zero extent: those that the lens does not see (nearer than 0.01, or behind a pinhole),
-    more transparent than 1/255, beside the image, or with a number that is not finite. They get a zero
-    gradient, and leave that of the camera finite.
+    more transparent than 1/255, beside the image, of a hidden part, or with a number that is not finite. They
+    get a zero gradient, and leave that of the camera and of the poses finite.
 
     Args:
-        gaussians: the scene.
+        scene: Gaussians, or a `Scene` of parts.
         camera: the view.
         low_pass: see `render`.
         backend: see `render`.
@@ -47,21 +46,25 @@ def project(
     Raises:
         ValueError: as `render`.
     """
-    scenes.checked(gaussians)
+    scene = seen.checked(scene)
     cameras.checked(camera)
     dtype = check_dtypes(
-        "Gaussians and Camera", {"means": gaussians.means, "cam_from_world": camera.cam_from_world}
+        "Gaussians and Camera", {**seen.means_of(scene), "cam_from_world": camera.cam_from_world}
     )
-    kernels = backends.resolve(backend, dtype)
-    return _project(gaussians, camera, low_pass or gaussians.low_pass, kernels, projection)
+    return _project(scene, camera, low_pass, backends.resolve(backend, dtype), projection)
 
 
 @partial(jax.jit, static_argnames=("low_pass", "kernels", "method"))
 def _project(
-    gaussians: Gaussians, camera: Camera, low_pass: LowPass, kernels: Kernels, method: Method
+    scene: Drawable, camera: Camera, low_pass: LowPass | None, kernels: Kernels, method: Method
 ) -> Splats:
-    gaussians, camera = vary_together(gaussians, camera)
-    return kernels.project(gaussians, camera, low_pass, method)
+    scene, camera = vary_together(scene, camera)
+    return views.joined(
+        [
+            kernels.project(gaussians, own, low_pass or gaussians.low_pass, method)
+            for gaussians, own in seen.seen_from(scene, camera)
+        ]
+    )
 
 
 def select(splats: Splats, count: int, *, backend: str | Kernels = backends.AUTO) -> Selection:

@@ -1,24 +1,29 @@
 """Similarity transforms of scenes. Transforming Gaussians and cameras alike keeps renderings the same."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
-from scipy.spatial.transform import Rotation
+from jaxtyping import Array, Float
 
 from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
-from splatax.math import harmonics, quaternions
+from splatax.math import harmonics, quaternions, rigid
 
 GENERIC = np.array([0.36, 0.48, 0.8])  # a direction at which no harmonic up to degree 4 is zero
 
 
+@jax.tree_util.register_pytree_with_keys_class
 @dataclass(frozen=True)
 class Similarity:
     """A similarity transform of space, p' = scale R p + t.
+
+    It is a pytree of three arrays, which pass through `jit`, `grad` and `vmap`. Poses that are made of NumPy
+    arrays and Python numbers are computed in double precision on the host. Values are checked where they are
+    known, which traced values are not.
 
     Attributes:
         rotation: R, a rotation matrix.
@@ -26,19 +31,38 @@ class Similarity:
         scale: a factor above zero.
     """
 
-    rotation: Float[np.ndarray, "3 3"]
-    translation: Float[np.ndarray, "3"]
-    scale: float = 1.0
+    rotation: Float[np.ndarray, "3 3"] | Float[Array, "3 3"]
+    translation: Float[np.ndarray, "3"] | Float[Array, "3"]
+    scale: float | Float[Array, ""] = 1.0
 
     def __post_init__(self) -> None:
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in self._leaves()):
+            return
         if not (np.isfinite(self.translation).all() and 0 < self.scale < np.inf):
             raise ValueError(
                 f"scale {self.scale} and translation {self.translation}: must be finite, scale > 0"
             )
-        if not np.allclose(self.rotation @ self.rotation.T, np.eye(3), atol=1e-5):
+        rotation = np.asarray(self.rotation)
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5):
             raise ValueError("not a rotation: its axes are not orthogonal and of length one")
-        if np.linalg.det(self.rotation) < 0:
+        if np.linalg.det(rotation) < 0:
             raise ValueError("a reflection, which would mirror the scene, is not a rotation")
+
+    def _leaves(self) -> tuple[Any, ...]:
+        return self.rotation, self.translation, self.scale
+
+    def tree_flatten_with_keys(self):
+        """Returns the arrays by name, for JAX."""
+        named = (jax.tree_util.GetAttrKey(field.name) for field in fields(self))
+        return tuple(zip(named, self._leaves(), strict=True)), None
+
+    @classmethod
+    def tree_unflatten(cls, _: None, leaves: Iterable[Any]) -> "Similarity":
+        """Returns the transform with other leaves, which JAX may stack or replace by placeholders."""
+        made = object.__new__(cls)
+        for field, leaf in zip(fields(cls), leaves, strict=True):
+            object.__setattr__(made, field.name, leaf)
+        return made
 
     @classmethod
     def of(
@@ -55,16 +79,58 @@ class Similarity:
             scale: a factor above zero.
             move: the translation, world units after scaling.
         """
+        from scipy.spatial.transform import Rotation  # slow to import; the renderer does without
+
         rotation = Rotation.from_euler("xyz", degrees, degrees=True).as_matrix()
         return cls(rotation, np.array(move, np.float64), scale)
 
+    @classmethod
+    def from_quat(
+        cls,
+        quat: Float[Array, "4"],
+        translation: Float[Array, "3"],
+        scale: float | Float[Array, ""] = 1.0,
+    ) -> "Similarity":
+        """Returns the transform whose rotation is a quaternion (w, x, y, z) of any length. Traceable."""
+        return cls(quaternions.to_rotation(quat), translation, scale)
+
+    @classmethod
+    def from_twist(cls, twist: Float[Array, "6"]) -> "Similarity":
+        """Returns the rigid motion of a twist, rotation (radians) before translation; see `math.rigid`.
+
+        It has a derivative everywhere, so a pose can be optimized as `Similarity.from_twist(x).after(guess)`.
+        """
+        motion = rigid.exponential(twist)
+        return cls(motion[:3, :3], motion[:3, 3])
+
+    @property
+    def on_host(self) -> bool:
+        """True if all numbers are NumPy's or Python's, which are computed in double precision."""
+        return not any(isinstance(leaf, jax.Array) for leaf in self._leaves())
+
+    def cast(self, dtype: Any) -> "Similarity":
+        """Returns the transform with JAX arrays of a dtype."""
+        return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), self)
+
+    @jax.default_matmul_precision("highest")
     def after(self, first: "Similarity") -> "Similarity":
         """Returns the composition that applies `first`, and then this transform."""
-        translation = self.scale * self.rotation @ first.translation + self.translation
-        return Similarity(self.rotation @ first.rotation, translation, self.scale * first.scale)
+        arrays = [leaf for leaf in (*self._leaves(), *first._leaves()) if isinstance(leaf, jax.Array)]
+        a, b = (place.cast(arrays[0].dtype) if arrays else place for place in (self, first))
+        translation = a.scale * (a.rotation @ b.translation) + a.translation
+        return Similarity(a.rotation @ b.rotation, translation, a.scale * b.scale)
+
+    def inverse(self) -> "Similarity":
+        """Returns the transform that undoes this one."""
+        back = self.rotation.T
+        return Similarity(back, -(back @ self.translation) / self.scale, 1 / self.scale)
 
     def transform(self, gaussians: Gaussians) -> Gaussians:
         """Returns the transformed scene, with rotated spherical harmonics (see `harmonics.rotation`)."""
+        if not self.on_host or any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(gaussians)):
+            return _transformed(self.cast(gaussians.means.dtype), gaussians)
+        from scipy.spatial.transform import Rotation
+
         x, y, z, w = Rotation.from_matrix(self.rotation).as_quat()
         turn = jnp.asarray([w, x, y, z], gaussians.quats.dtype)
         turned = np.asarray(gaussians.means, np.float64) @ self.rotation.T
@@ -80,13 +146,30 @@ class Similarity:
         )
 
     def transform_camera(self, camera: Camera) -> Camera:
-        """Returns the camera that sees the transformed scene as `camera` sees the scene; depths scale."""
+        """Returns the camera that sees the transformed scene as `camera` sees the scene; depths scale.
+
+        The camera's numbers must be known, not traced.
+        """
         pose = np.asarray(camera.cam_from_world, np.float64)
-        rotation = pose[:3, :3] @ self.rotation.T
+        rotation = pose[:3, :3] @ np.asarray(self.rotation, np.float64).T
         moved = np.eye(4)
         moved[:3, :3] = rotation
-        moved[:3, 3] = self.scale * pose[:3, 3] - rotation @ self.translation
+        moved[:3, 3] = self.scale * pose[:3, 3] - rotation @ np.asarray(self.translation, np.float64)
         return replace(camera, cam_from_world=jnp.asarray(moved, camera.cam_from_world.dtype))
+
+
+@jax.default_matmul_precision("highest")
+def _transformed(place: Similarity, gaussians: Gaussians) -> Gaussians:
+    """Transforms Gaussians with a traced transform, in their dtype."""
+    turn = quaternions.from_rotation(jnp.asarray(place.rotation))
+    blocks = harmonics.rotation(place.rotation, gaussians.sh_degree)
+    return replace(
+        gaussians,
+        means=place.scale * (gaussians.means @ place.rotation.T) + place.translation[None],
+        quats=jax.vmap(quaternions.multiply, (None, 0))(turn, gaussians.quats),
+        log_scales=gaussians.log_scales + jnp.log(place.scale),
+        sh=jnp.einsum("kj,njc->nkc", blocks, gaussians.sh),
+    )
 
 
 def half_turn(gaussians: Gaussians, axis: int) -> Gaussians:

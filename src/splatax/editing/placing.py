@@ -3,14 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from splatax.cameras import Camera, rig
 from splatax.errors import InputError
-from splatax.gaussians import Gaussians
+from splatax.gaussians import Gaussians, joined
 from splatax.math import harmonics
 from splatax.transforms import Similarity
 
@@ -29,12 +27,7 @@ def merge(scenes: Sequence[Gaussians]) -> Gaussians:
             "The scenes cannot be merged: some were trained with antialiasing, and others without. Train "
             "them alike."
         )
-    most = max(scene.sh.shape[1] for scene in scenes)
-    padded = [
-        replace(scene, sh=jnp.pad(scene.sh, ((0, 0), (0, most - scene.sh.shape[1]), (0, 0))))
-        for scene in scenes
-    ]
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *padded)
+    return joined(scenes)
 
 
 def reduce_degree(gaussians: Gaussians, degree: int) -> Gaussians:

@@ -6,6 +6,7 @@ supported (Sloan 2013, "Efficient Spherical Harmonic Evaluation").
 """
 
 import math
+from functools import cache
 from typing import TypeVar
 
 import jax
@@ -14,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 AnyArray = TypeVar("AnyArray", Array, np.ndarray)
+Matrix = Float[np.ndarray, "3 3"] | Float[Array, "3 3"]
 
 MAX_DEGREE = 4
 SAMPLES = 64  # directions at which a rotation is fitted
@@ -90,29 +92,42 @@ def evaluate(sh: Float[Array, "k c"], direction: Float[Array, "3"]) -> Float[Arr
     return basis(direction, degree_of(sh.shape[0])) @ sh
 
 
-def rotation(matrix: Float[np.ndarray, "3 3"], degree: int) -> Float[np.ndarray, "k k"]:
+def rotation(matrix: Matrix, degree: int) -> Float[np.ndarray, "k k"] | Float[Array, "k k"]:
     """Returns the matrix M that rotates coefficients: sh' = M sh gives a function with f'(R d) = f(d).
 
     M is block-diagonal, with one Wigner D matrix for each band, since a band is closed under rotation.
-    Each block solves Y(R^-1 d) = Y(d) M in double precision, at more directions d than it has basis
-    functions; it is exact except for rounding.
+    Each block solves Y(R^-1 d) = Y(d) M, at more directions d than it has basis functions; it is exact except
+    for rounding. A NumPy matrix is computed in double precision. A JAX array may be traced.
 
     Args:
         matrix: R, a rotation matrix.
         degree: degree of the coefficients.
     """
+    directions, inverse, blocks = _samples(degree)
+    at = jax.vmap(lambda direction: basis(direction, degree))
+    if isinstance(matrix, np.ndarray):
+        with jax.ensure_compile_time_eval(), jax.enable_x64(True):
+            return blocks * (inverse @ np.asarray(at(jnp.asarray(directions @ matrix))))
+    dtype = matrix.dtype
+    with jax.default_matmul_precision("highest"):
+        turned = at(jnp.asarray(directions, dtype) @ matrix)
+        return jnp.asarray(blocks, dtype) * (jnp.asarray(inverse, dtype) @ turned)
+
+
+@cache
+def _samples(
+    degree: int,
+) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarray, "k s"], Float[np.ndarray, "k k"]]:
+    """Returns directions, the pseudo-inverses of the bands' basis functions, and a mask of the blocks."""
     z = (np.arange(SAMPLES) + 0.5) * 2 / SAMPLES - 1
     angle = np.pi * (1 + 5**0.5) * np.arange(SAMPLES)  # a Fibonacci spiral
     radius = np.sqrt(1 - z * z)
     directions = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
-    with jax.enable_x64(True):
-        at = jax.vmap(lambda direction: basis(direction, degree))
-        here, there = (np.asarray(at(jnp.asarray(d))) for d in (directions, directions @ matrix))
-    blocks = np.zeros((count(degree), count(degree)))
-    for band in range(degree + 1):
-        columns = slice(band**2, (band + 1) ** 2)
-        blocks[columns, columns] = np.linalg.lstsq(here[:, columns], there[:, columns], rcond=None)[0]
-    return blocks
+    with jax.ensure_compile_time_eval(), jax.enable_x64(True):
+        here = np.asarray(jax.vmap(lambda d: basis(d, degree))(jnp.asarray(directions)))
+    band = np.sqrt(np.arange(count(degree))).astype(int)
+    inverse = np.concatenate([np.linalg.pinv(here[:, band == b]) for b in range(degree + 1)])
+    return directions, inverse, (band[:, None] == band[None, :]).astype(np.float64)
 
 
 def from_rgb(rgb: AnyArray) -> AnyArray:

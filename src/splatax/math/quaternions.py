@@ -28,3 +28,20 @@ def to_rotation(quat: Float[Array, "4"]) -> Float[Array, "3 3"]:
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
     )
+
+
+def from_rotation(matrix: Float[Array, "3 3"]) -> Float[Array, "4"]:
+    """Returns a unit quaternion of a rotation matrix, with a derivative at every rotation.
+
+    4 q q^T is linear in the matrix; its row with the largest diagonal element, normalized, is q or -q.
+    """
+    (a, b, c), (d, e, f), (g, h, i) = matrix
+    outer = jnp.array(
+        [
+            [1 + a + e + i, h - f, c - g, d - b],
+            [h - f, 1 + a - e - i, b + d, c + g],
+            [c - g, b + d, 1 - a + e - i, f + h],
+            [d - b, c + g, f + h, 1 - a - e + i],
+        ]
+    )
+    return normalize(outer[jnp.argmax(jnp.diagonal(outer))])

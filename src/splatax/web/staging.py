@@ -97,7 +97,7 @@ def _place(rotation: Float[np.ndarray, "3 3"], middle: Float[np.ndarray, "3"], s
 def _levelling(cameras: Sequence[Camera]) -> Float[np.ndarray, "3 3"]:
     """Returns the levelling rotation, or the identity if the cameras were held in all directions."""
     try:
-        return level(cameras).rotation
+        return np.asarray(level(cameras).rotation)
     except InputError:
         return np.eye(3)
 

@@ -9,15 +9,13 @@ COLOR_0 is for viewers that can only draw points.
 
 import json
 import struct
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
-from splatax.gaussians import Gaussians, checked
+from splatax.gaussians import Gaussians, checked, joined
 from splatax.io.files import write_whole
 from splatax.io.formats import glb_scene, packing
 from splatax.io.formats.glb_scene import EXTENSION
@@ -48,10 +46,7 @@ def load(path: Path) -> Gaussians:
         place.transform(_gaussians(glb_scene.accessors(path, gltf, buffer, primitive)))
         for primitive, place in found
     ]
-    most = max(part.sh.shape[1] for part in parts)
-    padding = [((0, 0), (0, most - part.sh.shape[1]), (0, 0)) for part in parts]
-    parts = [replace(part, sh=jnp.pad(part.sh, p)) for part, p in zip(parts, padding, strict=True)]
-    return half_turn(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts), axis=2)
+    return half_turn(joined(parts), axis=2)
 
 
 def comments(path: Path) -> tuple[str, ...]:

@@ -1,0 +1,99 @@
+"""A scene from one camera: each part's Gaussians, and the camera as the part has it.
+
+Projecting a posed part equals projecting the part with its own camera, so no Gaussian is turned. Spherical
+harmonics are evaluated along the turned direction by themselves.
+"""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from splatax import gaussians as clouds
+from splatax.cameras import Camera
+from splatax.gaussians import Gaussians
+from splatax.scene.parts import Part, Scene, masked
+from splatax.shapes import check_arrays
+
+Drawable = Gaussians | Scene
+
+
+def checked(scene: Drawable) -> Drawable:
+    """Checks that the arrays of a scene fit together, and returns it with all its numbers as JAX arrays.
+
+    It checks only shapes and dtypes, so it works on traced arrays.
+
+    Raises:
+        ValueError: if a shape or dtype is wrong. The message names the part.
+    """
+    if isinstance(scene, Gaussians):
+        return clouds.checked(scene)
+    return Scene({name: _checked(name, part) for name, part in scene.parts.items()})
+
+
+def _checked(name: str, part: Part) -> Part:
+    try:
+        gaussians = clouds.checked(part.gaussians)
+        dtype = gaussians.means.dtype
+        pose = part.pose.cast(dtype)
+        color = None if part.color is None else jax.tree.map(lambda x: jnp.asarray(x, dtype), part.color)
+        visible = jnp.asarray(part.visible, dtype)
+        arrays = {
+            "pose.rotation": (pose.rotation, "3 3"),
+            "pose.translation": (pose.translation, "3"),
+            "pose.scale": (pose.scale, ""),
+            "visible": (visible, ""),
+        }
+        if color is not None:
+            arrays |= {"color.matrix": (color.matrix, "3 3"), "color.offset": (color.offset, "3")}
+        check_arrays("Part", arrays)
+    except ValueError as error:
+        raise ValueError(f"part {name!r}: {error}") from error
+    return Part(gaussians, pose, visible, color)
+
+
+def means_of(scene: Drawable) -> dict[str, Array]:
+    """Returns the means of the Gaussians by name, for checks of dtypes."""
+    if isinstance(scene, Gaussians):
+        return {"means": scene.means}
+    return {f"means of part {name!r}": part.gaussians.means for name, part in scene.parts.items()}
+
+
+def sizes_of(scene: Drawable) -> tuple[int, ...]:
+    """Returns the number of Gaussians of each part; Gaussians alone are one part."""
+    parts = [scene] if isinstance(scene, Gaussians) else [part.gaussians for part in scene.parts.values()]
+    return tuple(map(len, parts))
+
+
+def seen_from(scene: Drawable, camera: Camera) -> list[tuple[Gaussians, Camera]]:
+    """Returns the Gaussians of each part and the camera that sees them as `camera` sees the part.
+
+    The Gaussians are in world units, so depths, and the distance at which they are culled, are those of the
+    world.
+    """
+    if isinstance(scene, Gaussians):
+        return [(scene, camera)]
+    return [_seen(part, camera) for part in scene.parts.values()]
+
+
+@jax.default_matmul_precision("highest")
+def _seen(part: Part, camera: Camera) -> tuple[Gaussians, Camera]:
+    gaussians, pose = part.gaussians, part.pose
+    if part.color is not None:
+        gaussians = part.color.transform(gaussians)
+    finite = jnp.isfinite(gaussians.means)  # zero times NaN would spoil the gradient of the scale
+    scaled = jnp.where(finite, jnp.where(finite, gaussians.means, 0) * pose.scale, gaussians.means)
+    sized = gaussians.log_scales + jnp.log(pose.scale)
+    gaussians = masked(replace(gaussians, means=scaled, log_scales=sized), part.visible)
+    top = jnp.concatenate([pose.rotation, pose.translation[:, None]], axis=1)
+    world_from_part = jnp.concatenate([top, jnp.array([[0, 0, 0, 1]], top.dtype)])
+    return gaussians, replace(camera, cam_from_world=camera.cam_from_world @ world_from_part)
+
+
+def in_world(scene: Drawable) -> Gaussians:
+    """Returns the Gaussians of all parts in the world, hidden ones too, in the order of the scene's rows."""
+    if isinstance(scene, Gaussians):
+        return scene
+    placed = [part.in_world() for part in scene.parts.values()]
+    return clouds.joined([replace(part, low_pass=placed[0].low_pass) for part in placed])

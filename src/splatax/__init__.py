@@ -37,12 +37,14 @@ HOMES = {  # public name -> module here that defines it
     "fit": "training.loop",
     "load": "io.formats",
     "load_dataset": "io.datasets",
+    "load_scene": "io.scenes",
     "look_at": "cameras",
     "optimize": "training.loop",
     "project": "stages",
     "rasterize": "rendering",
     "render": "rendering",
     "save": "io.formats",
+    "save_scene": "io.scenes",
     "view": "notebook",
 }
 SUBMODULES = {  # public name -> module here
@@ -96,6 +98,8 @@ if TYPE_CHECKING:  # the same names, for type checkers and editors; tests/test_i
     from splatax.io.datasets import load_dataset as load_dataset
     from splatax.io.formats import load as load
     from splatax.io.formats import save as save
+    from splatax.io.scenes import load_scene as load_scene
+    from splatax.io.scenes import save_scene as save_scene
     from splatax.low_pass import Antialiasing as Antialiasing
     from splatax.low_pass import Dilation as Dilation
     from splatax.notebook import view as view

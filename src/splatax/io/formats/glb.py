@@ -9,16 +9,18 @@ COLOR_0 is for viewers that can only draw points.
 
 import json
 import struct
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
+from splatax.errors import FormatError
 from splatax.gaussians import Gaussians, checked, joined
 from splatax.io.files import write_whole
 from splatax.io.formats import glb_scene, packing
-from splatax.io.formats.glb_scene import EXTENSION
+from splatax.io.formats.glb_scene import EXTENSION, Placed
 from splatax.io.formats.tolerance import Tolerance
 from splatax.math import harmonics
 from splatax.transforms import half_turn
@@ -34,19 +36,33 @@ TOLERANCE = Tolerance(degrees=1e-3, log_scales=1e-5, opacities=1e-6)
 
 
 def load(path: Path) -> Gaussians:
-    """Reads all splats of a file's scene, transformed by their nodes.
+    """Reads all visible splats of a file's scene, transformed by their nodes. `io.scenes` keeps the nodes.
+
+    Raises:
+        FormatError: if the file is damaged, or has no visible splats.
+    """
+    shown = [(place, gaussians) for place, gaussians in placed(path) if place.visible]
+    if not shown:
+        raise FormatError(f"{path}: all its splats are hidden. Show some, or read it with load_scene.")
+    return half_turn(joined([at.place.transform(gaussians) for at, gaussians in shown]), axis=2)
+
+
+def placed(path: Path) -> list[tuple[Placed, Gaussians]]:
+    """Returns the splats of each primitive in its own frame, and their nodes, in the axes of glTF.
+
+    Nodes that share a primitive share the Gaussians.
 
     Raises:
         FormatError: if the file is damaged, or has no splats.
     """
     gltf, buffer = glb_scene.chunks(path)
     found = glb_scene.splats(path, gltf)
-    glb_scene.check_repetition(path, gltf, buffer, [primitive for primitive, _ in found])
-    parts = [
-        place.transform(_gaussians(glb_scene.accessors(path, gltf, buffer, primitive)))
-        for primitive, place in found
-    ]
-    return half_turn(joined(parts), axis=2)
+    glb_scene.check_repetition(path, gltf, buffer, [at.primitive for at in found])
+    read: dict[int, Gaussians] = {}
+    for at in found:
+        if id(at.primitive) not in read:
+            read[id(at.primitive)] = _gaussians(glb_scene.accessors(path, gltf, buffer, at.primitive))
+    return [(at, read[id(at.primitive)]) for at in found]
 
 
 def comments(path: Path) -> tuple[str, ...]:
@@ -57,12 +73,52 @@ def comments(path: Path) -> tuple[str, ...]:
 
 def save(path: Path, gaussians: Gaussians, *, comments: tuple[str, ...] = ()) -> None:
     """Writes float32 attributes of one mesh."""
-    gaussians = half_turn(gaussians, axis=2)
-    attributes = _attributes(gaussians)
+    write(path, [gaussians], [{"mesh": 0}], comments)
+
+
+def write(
+    path: Path, meshes: Sequence[Gaussians], nodes: Sequence[dict[str, Any]], comments: tuple[str, ...]
+) -> None:
+    """Writes a file with meshes of splats, and nodes that place them.
+
+    Args:
+        path: the file.
+        meshes: Gaussians in our axes; each becomes a mesh with one primitive.
+        nodes: glTF's objects, in glTF's axes; all are roots of the scene.
+        comments: lines for the file's extras.
+    """
     accessors: list[dict[str, Any]] = []
     views: list[dict[str, Any]] = []
-    parts, offset = [], 0
-    for name, values in attributes.items():
+    chunks: list[bytes] = []
+    primitives = [_primitive(half_turn(mesh, axis=2), accessors, views, chunks) for mesh in meshes]
+    offset = sum(map(len, chunks))
+    used = {EXTENSION, *(name for node in nodes for name in node.get("extensions", ()))}
+    gltf = {
+        "asset": {"version": "2.0", "generator": "splatax", "extras": {"comments": list(comments)}},
+        "extensionsUsed": sorted(used),
+        "scene": 0,
+        "scenes": [{"nodes": list(range(len(nodes)))}],
+        "nodes": list(nodes),
+        "meshes": [{"primitives": [primitive]} for primitive in primitives],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": offset}],
+    }
+    text = json.dumps(gltf, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    length = 12 + 8 + len(text) + 8 + offset
+    head = struct.pack("<4sII", b"glTF", 2, length) + struct.pack("<I4s", len(text), b"JSON") + text
+    write_whole(path, b"".join([head, struct.pack("<I4s", offset, b"BIN\0"), *chunks]))
+
+
+def _primitive(
+    gaussians: Gaussians, accessors: list[dict[str, Any]], views: list[dict[str, Any]], chunks: list[bytes]
+) -> dict[str, Any]:
+    """Appends the attributes of Gaussians in glTF's axes to the file's lists, and returns their primitive."""
+    attributes = {}
+    offset = sum(map(len, chunks))
+    for name, values in _attributes(gaussians).items():
+        attributes[name] = len(accessors)
         accessor: dict[str, Any] = {
             "bufferView": len(views),
             "count": len(values),
@@ -75,7 +131,7 @@ def save(path: Path, gaussians: Gaussians, *, comments: tuple[str, ...] = ()) ->
             accessor |= {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
         accessors.append(accessor)
         views.append({"buffer": 0, "byteOffset": offset, "byteLength": values.nbytes, "target": VERTICES})
-        parts.append(values.tobytes())
+        chunks.append(values.tobytes())
         offset += values.nbytes  # all are multiples of 4
     properties = {
         "kernel": "ellipse",
@@ -83,27 +139,7 @@ def save(path: Path, gaussians: Gaussians, *, comments: tuple[str, ...] = ()) ->
         "sortingMethod": "cameraDistance",
         "projection": "perspective",
     }
-    primitive = {
-        "attributes": {name: i for i, name in enumerate(attributes)},
-        "mode": 0,
-        "extensions": {EXTENSION: properties},
-    }
-    gltf = {
-        "asset": {"version": "2.0", "generator": "splatax", "extras": {"comments": list(comments)}},
-        "extensionsUsed": [EXTENSION],
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [primitive]}],
-        "accessors": accessors,
-        "bufferViews": views,
-        "buffers": [{"byteLength": offset}],
-    }
-    text = json.dumps(gltf, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 4)
-    length = 12 + 8 + len(text) + 8 + offset
-    head = struct.pack("<4sII", b"glTF", 2, length) + struct.pack("<I4s", len(text), b"JSON") + text
-    write_whole(path, b"".join([head, struct.pack("<I4s", offset, b"BIN\0"), *parts]))
+    return {"attributes": attributes, "mode": 0, "extensions": {EXTENSION: properties}}
 
 
 def _attributes(gaussians: Gaussians) -> dict[str, np.ndarray]:

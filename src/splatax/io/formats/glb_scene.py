@@ -3,7 +3,7 @@
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,12 +12,29 @@ from splatax.io.formats.untrusted import ALWAYS_ALLOWED, Cursor
 from splatax.transforms import Similarity
 
 EXTENSION = "KHR_gaussian_splatting"
+VISIBILITY = "KHR_node_visibility"
 PREFIXES = ("POSITION", f"{EXTENSION}:")
 TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 MAX_NODES = 10_000  # nodes that are visited; valid nodes form no cycle, but those of a damaged file may
 MAX_REPETITION = 16  # mean number of times that the nodes of a file may repeat its splats
 SMALLEST_ROW = 4 * (3 + 4 + 3 + 1 + 3)  # bytes in memory of a Gaussian with SH degree 0
+
+
+class Placed(NamedTuple):
+    """The splats of one primitive, as a node of the scene has them.
+
+    Attributes:
+        primitive: glTF's object, whose accessors hold the splats.
+        place: transform from the primitive to the scene.
+        name: name of the node; empty if it has none.
+        visible: False if the node or one above it is hidden.
+    """
+
+    primitive: dict[str, Any]
+    place: Similarity
+    name: str
+    visible: bool
 
 
 def chunks(path: Path) -> tuple[dict[str, Any], bytes]:
@@ -42,14 +59,14 @@ def chunks(path: Path) -> tuple[dict[str, Any], bytes]:
     return json.loads(found[b"JSON"]), found.get(b"BIN\0", b"")
 
 
-def splats(path: Path, gltf: dict[str, Any]) -> list[tuple[dict[str, Any], Similarity]]:
-    """Returns the primitives of the scene that hold splats, with the transforms of their nodes.
+def splats(path: Path, gltf: dict[str, Any]) -> list[Placed]:
+    """Returns the primitives that hold splats, as the scene's nodes place them, in the order of the nodes.
 
     Raises:
         FormatError: if there are none, or their compression is not supported.
     """
     found = []
-    for node, place in _nodes(path, gltf):
+    for node, place, visible in _nodes(path, gltf):
         if "mesh" not in node:
             continue
         for primitive in gltf["meshes"][node["mesh"]]["primitives"]:
@@ -60,7 +77,7 @@ def splats(path: Path, gltf: dict[str, Any]) -> list[tuple[dict[str, Any], Simil
                 raise FormatError(
                     f"{path}: its splats are compressed ({names}), which splatax does not read."
                 )
-            found.append((primitive, place))
+            found.append(Placed(primitive, place, str(node.get("name", "")), visible))
     if not found:
         raise FormatError(f"{path}: no splats: none of its meshes has the extension {EXTENSION}.")
     return found
@@ -105,17 +122,20 @@ def check_repetition(
         )
 
 
-def _nodes(path: Path, gltf: dict[str, Any]) -> Iterator[tuple[dict[str, Any], Similarity]]:
+def _nodes(path: Path, gltf: dict[str, Any]) -> Iterator[tuple[dict[str, Any], Similarity, bool]]:
+    """Yields the nodes of the scene in order, each with its place in the scene and whether it is visible."""
     nodes = gltf["nodes"]
     scene = gltf.get("scenes", [{"nodes": range(len(nodes))}])[gltf.get("scene", 0)]
-    waiting = [(index, Similarity.of()) for index in scene["nodes"]]
+    waiting = [(index, Similarity.of(), True) for index in reversed(scene["nodes"])]
     for _ in range(MAX_NODES):
         if not waiting:
             return
-        index, parent = waiting.pop()
-        place = parent.after(_place(nodes[index]))
-        yield nodes[index], place
-        waiting += [(child, place) for child in nodes[index].get("children", ())]
+        index, parent, shown = waiting.pop()
+        node = nodes[index]
+        place = parent.after(_place(node))
+        shown = shown and bool(node.get("extensions", {}).get(VISIBILITY, {}).get("visible", True))
+        yield node, place, shown
+        waiting += [(child, place, shown) for child in reversed(node.get("children", ()))]
     raise FormatError(f"{path}: damaged: its nodes form a circle, or are more than {MAX_NODES:,}.")
 
 

@@ -1,14 +1,18 @@
 // The page: connects the scene, the motions of the camera, and the buttons.
 import { Controls } from './controls.js';
+import { Hotspots } from './hotspots.js';
 import { Glide, Path, Turntable } from './motion.js';
 import { Pose } from './pose.js';
 import { Stage } from './stage.js';
+import { Variants } from './variants.js';
 
 const LONGEST_FRAME = 0.1; // seconds: keeps motion from jumping after a pause
-const GLIDE = matchMedia('(prefers-reduced-motion: reduce)').matches ? 0 : 0.8; // seconds from camera to camera
+const CALM = matchMedia('(prefers-reduced-motion: reduce)').matches;
+const GLIDE = CALM ? 0 : 0.8; // seconds from camera to camera
 const find = (id) => document.getElementById(id);
 const page = JSON.parse(find('page').textContent);
 const cameras = page.cameras.map((camera) => Pose.of(camera));
+const path = page.path.map((camera) => Pose.of(camera));
 const start = Pose.of(page.start);
 
 class Viewer {
@@ -19,11 +23,15 @@ class Viewer {
 
   constructor() {
     this.stage = new Stage(find('view'), page);
+    this.variants = new Variants(page, (part, visible, color) => this.stage.change(part, visible, color));
+    this.hotspots = new Hotspots(find('hotspots'), page.hotspots);
     this.controls = new Controls(find('view'), () => this.#takeOver());
   }
 
-  async open(scene) {
-    await this.stage.load(scene);
+  async open() {
+    await this.stage.load(page.parts, window.file);
+    this.variants.update();
+    if (page.autoplay && !CALM) this.play();
     let before = performance.now();
     let idle = 0;
     const frame = (now) => {
@@ -31,6 +39,7 @@ class Viewer {
       before = now;
       idle = moving ? 0 : idle + 1;
       this.stage.draw(this.pose, idle < 6);
+      this.hotspots.place(this.stage.camera, innerWidth, innerHeight, (part) => this.variants.shows(part));
       this.settled = this.stage.settled;
       if (this.settled) find('loading').hidden = true;
       requestAnimationFrame(frame);
@@ -52,7 +61,14 @@ class Viewer {
   play() {
     if (this.playing) return this.#move(null);
     this.shown = -1;
-    this.#move(cameras.length > 1 ? new Path(cameras) : new Turntable());
+    const [poses, seconds] = path.length > 1 ? [path, page.seconds] : [cameras];
+    this.#move(page.play === 'flight' && poses.length > 1 ? new Path(poses, seconds) : new Turntable());
+  }
+
+  /** Chooses an option of a variant. */
+  choose(variant, option) {
+    this.variants.choose(variant, option);
+    update();
   }
 
   get playing() {
@@ -91,6 +107,9 @@ function update() {
   find('mode').setAttribute('aria-pressed', viewer.controls.mode === 'fly');
   find('mode-name').textContent = viewer.controls.mode === 'fly' ? 'Fly' : 'Orbit';
   if (find('cameras')) find('cameras').value = viewer.shown;
+  for (const button of options) {
+    button.setAttribute('aria-pressed', viewer.variants.chosen[button.dataset.variant] === button.dataset.option);
+  }
 }
 
 const ACTIONS = {
@@ -107,7 +126,11 @@ const KEYS = {
   ',': 'previous', '.': 'next', ' ': 'play', o: 'mode', r: 'reset', f: 'fullscreen', '?': 'help', h: 'hide',
 }; // prettier-ignore
 
+const options = document.querySelectorAll('#variants button');
 const viewer = new Viewer();
+for (const button of options) {
+  button.addEventListener('click', () => viewer.choose(button.dataset.variant, button.dataset.option));
+}
 for (const [name, action] of Object.entries(ACTIONS)) {
   find(name)?.addEventListener('click', action);
 }
@@ -127,4 +150,4 @@ find('view').addEventListener('webglcontextlost', () => window.failed('The brows
 
 update();
 window.viewer = viewer;
-window.scene.then((bytes) => viewer.open(bytes)).catch((error) => window.failed(error));
+viewer.open().catch((error) => window.failed(error));

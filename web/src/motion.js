@@ -24,13 +24,15 @@ export class Glide {
 
 /** Flies along a uniform cubic B-spline of camera poses, in a loop or back and forth. */
 export class Path {
-  constructor(poses) {
+  /** Takes the poses, and the duration of the whole path; without one, it depends on their number. */
+  constructor(poses, seconds) {
     const steps = poses.slice(1).map((pose, i) => pose.position.distanceTo(poses[i].position));
     const median = steps.toSorted((a, b) => a - b)[steps.length >> 1];
     const gap = poses[0].position.distanceTo(poses.at(-1).position);
     this.poses = poses;
     this.closed = poses.length > 4 && gap < NEAR * median;
-    this.pace = Math.min(LONGEST / poses.length, 1.2); // seconds from camera to camera
+    const intervals = Math.max(this.closed ? poses.length : poses.length - 1, 1);
+    this.pace = seconds ? seconds / intervals : Math.min(LONGEST / poses.length, 1.2); // from camera to camera
     this.seconds = 0;
     this.done = false;
   }

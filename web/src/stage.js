@@ -1,6 +1,7 @@
 // The scene on a canvas, rendered by three.js and Spark.
 import { SparkRenderer, SplatMesh } from '@sparkjsdev/spark';
 import { Color, PerspectiveCamera, Scene, SRGBColorSpace, WebGLRenderer } from 'three';
+import { ColorMap } from './colors.js';
 import { project } from './pose.js';
 
 const FAR = 1e5; // only for clipping: splats are sorted, not depth-tested
@@ -11,6 +12,7 @@ const SLOW = 45; // milliseconds a frame, above which "auto" lowers the resoluti
 export class Stage {
   quality = 'auto';
   settled = false; // whether the frame is final for the last pose
+  #parts = [];
   #reduced = 1; // current fraction of pixels of "auto", along each axis
   #frames = [];
   #drawn = '';
@@ -41,11 +43,32 @@ export class Stage {
     this.scene.add(this.spark);
   }
 
-  /** Loads an SPZ file into the scene. */
-  async load(fileBytes) {
-    const mesh = new SplatMesh({ fileBytes, fileType: 'spz', extSplats: true, lod: false, raycastable: false });
-    await mesh.initialized;
-    this.scene.add(mesh);
+  /** Loads the SPZ files of parts, each once, and places the parts. `open` returns the bytes of a file. */
+  async load(parts, open) {
+    const files = {};
+    for (const { file, position, quaternion, scale } of parts) {
+      const source = files[file] ? { extSplats: files[file] } : { fileBytes: await open(file), fileType: 'spz', extSplats: true };
+      const color = new ColorMap();
+      const mesh = new SplatMesh({ ...source, objectModifier: color.modifier, lod: false, raycastable: false });
+      await mesh.initialized;
+      files[file] ??= mesh.extSplats;
+      mesh.position.set(...position);
+      mesh.quaternion.set(...quaternion);
+      mesh.scale.setScalar(scale);
+      this.scene.add(mesh);
+      this.#parts.push({ mesh, color });
+    }
+    this.dirty = true;
+  }
+
+  /** Shows or hides a part, and maps its colours by three rows of four numbers; null keeps them. */
+  change(index, visible, rows) {
+    const { mesh, color } = this.#parts[index];
+    const recolored = color.set(rows);
+    if (mesh.visible === visible && !recolored) return;
+    mesh.visible = visible;
+    mesh.updateVersion();
+    this.#drawn = ''; // also if the view has not changed
     this.dirty = true;
   }
 

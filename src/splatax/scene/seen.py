@@ -53,17 +53,24 @@ def _checked(name: str, part: Part) -> Part:
     return Part(gaussians, pose, visible, color)
 
 
+def clouds_of(scene: Drawable) -> dict[str, Gaussians]:
+    """Returns the Gaussians of each part by its name; Gaussians alone are one part without a name."""
+    if isinstance(scene, Gaussians):
+        return {"": scene}
+    return {name: part.gaussians for name, part in scene.parts.items()}
+
+
 def means_of(scene: Drawable) -> dict[str, Array]:
     """Returns the means of the Gaussians by name, for checks of dtypes."""
-    if isinstance(scene, Gaussians):
-        return {"means": scene.means}
-    return {f"means of part {name!r}": part.gaussians.means for name, part in scene.parts.items()}
+    return {
+        f"means of part {name!r}" if name else "means": gaussians.means
+        for name, gaussians in clouds_of(scene).items()
+    }
 
 
 def sizes_of(scene: Drawable) -> tuple[int, ...]:
     """Returns the number of Gaussians of each part; Gaussians alone are one part."""
-    parts = [scene] if isinstance(scene, Gaussians) else [part.gaussians for part in scene.parts.values()]
-    return tuple(map(len, parts))
+    return tuple(map(len, clouds_of(scene).values()))
 
 
 def seen_from(scene: Drawable, camera: Camera) -> list[tuple[Gaussians, Camera]]:

@@ -5,3 +5,5 @@ from splatax.web.page import MAX_SH_DEGREE as MAX_SH_DEGREE
 from splatax.web.page import document as document
 from splatax.web.page import require_viewer as require_viewer
 from splatax.web.page import save as save
+from splatax.web.presentation import Hotspot as Hotspot
+from splatax.web.presentation import Presentation as Presentation

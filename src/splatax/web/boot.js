@@ -1,8 +1,8 @@
 // Collects the chunks of the page as they arrive, then decompresses and starts the viewer.
-const parts = { viewer: [], scene: [] };
+const parts = { viewer: [] };
 
 function part(name, base64) {
-  parts[name].push(Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0)));
+  (parts[name] ??= []).push(Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0)));
   document.getElementById("progress").value += 1;
 }
 
@@ -20,7 +20,7 @@ async function start() {
   if (!window.DecompressionStream)
     return failed("This browser is too old to decompress the scene. Use a browser from 2023 or later.");
   document.getElementById("state").textContent = "decompressing";
-  window.scene = new Blob(parts.scene).arrayBuffer().then((buffer) => new Uint8Array(buffer));
+  window.file = async (name) => new Uint8Array(await new Blob(parts[name]).arrayBuffer());
   const packed = new Blob(parts.viewer).stream().pipeThrough(new DecompressionStream("gzip"));
   const script = document.createElement("script");
   script.textContent = await new Response(packed).text();

@@ -19,6 +19,8 @@ from splatax.io import formats
 from splatax.io.files import write_whole
 from splatax.low_pass import Antialiasing, Dilation, LowPass
 from splatax.math import morton
+from splatax.scene import Drawable, seen
+from splatax.web.presentation import Presentation, described, placed
 from splatax.web.staging import stage
 
 MAX_SH_DEGREE = 3  # highest degree that the viewer draws
@@ -30,30 +32,32 @@ LOSES = (
 # loses 0.1 dB in 40 % more.
 SH_BUCKETS = (2, 2)
 VIEWER = Path(__file__).parent / "viewer.js"  # built from web/ by `make page`
+NOTHING = Presentation()
 CHUNK = 3 << 17  # bytes of each embedded chunk: progress is shown after each
 
 
-def save(path: str | Path, gaussians: Gaussians, **options: Any) -> None:
+def save(path: str | Path, scene: Drawable, **options: Any) -> None:
     """Writes a page that shows a scene, as one file that makes no network requests.
 
     Args:
         path: file to write.
-        gaussians: the scene, with SH up to degree 3.
+        scene: Gaussians or a `Scene` of parts, with SH up to degree 3.
         options: title, and all other options of `document`.
 
     Raises:
         InputError: if the viewer has not been built.
         FormatError: if the scene is empty, or its SH degree is above 3.
     """
-    write_whole(Path(path), document(gaussians, name=str(path), **options).encode())
+    write_whole(Path(path), document(scene, name=str(path), **options).encode())
 
 
 def document(
-    gaussians: Gaussians,
+    scene: Drawable,
     *,
     title: str,
     cameras: Mapping[str, Camera] | None = None,
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    presentation: Presentation = NOTHING,
     name: str = "page",
 ) -> str:
     """Returns the HTML of a page that shows a scene.
@@ -61,46 +65,66 @@ def document(
     The scene is levelled and scaled to a standard size, according to its cameras.
 
     Args:
-        gaussians: the scene, with SH up to degree 3.
+        scene: Gaussians or a `Scene` of parts, with SH up to degree 3.
         title: any text.
         cameras: cameras of the capture by name: the viewpoints, and the keyframes of the flight.
         background: display-referred RGB behind the scene, in [0, 1].
+        presentation: variants, notes, start view and flight.
         name: name of the page in error messages.
 
     Raises:
         InputError: if the viewer has not been built.
-        FormatError: if the scene is empty, or its SH degree is above 3.
+        FormatError: if the scene or a part is empty, its SH degree is above 3, its parts were trained with
+            different low-pass filters, or the presentation names what the scene has not.
     """
     viewer = _viewer()
-    if len(gaussians) == 0:
-        raise FormatError(f"{name}: the scene has no Gaussians to show.")
-    if gaussians.sh_degree > MAX_SH_DEGREE:
-        raise FormatError(
-            f"{name}: a page shows SH up to degree {MAX_SH_DEGREE}, and the scene has degree "
-            f"{gaussians.sh_degree}. Reduce it to degree {MAX_SH_DEGREE} first "
-            "(splatax.editing.reduce_degree, or splatax export).",
-            options=(f"sh_degree {MAX_SH_DEGREE}",),
-        )
     cameras = cameras or {}
-    staged = stage(gaussians, cameras)
+    low_pass = _check(scene, name)
+    staged = stage(seen.in_world(scene), cameras)
+    parts, files = placed(scene, staged.place)
     page = {
         "background": list(background),
-        "lowPass": _variances(gaussians.low_pass),
+        "lowPass": _variances(low_pass),
         "near": NEAR * staged.place.scale,
         "cameras": staged.poses,
         "start": staged.start,
+        "parts": parts,
+        **described(scene, staged, presentation, name),
     }
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("splatax.web", "."), autoescape=True, undefined=jinja2.StrictUndefined
     )
     return environment.get_template("page.html").render(
         title=title,
-        count=len(gaussians),
+        count=len(scene),
         cameras=list(cameras),
         page=page,
         viewer=list(_chunks(gzip.compress(viewer, 9, mtime=0))),
-        scene=list(_chunks(_spz(staged.place.transform(gaussians)))),
+        scenes={file: list(_chunks(_spz(gaussians))) for file, gaussians in files.items()},
     )
+
+
+def _check(scene: Drawable, name: str) -> LowPass:
+    """Checks that a page can show a scene, and returns the filter that it is drawn with."""
+    filters = set()
+    for part, gaussians in seen.clouds_of(scene).items():
+        which = f"part {part!r}" if part else "the scene"
+        if len(gaussians) == 0:
+            raise FormatError(f"{name}: {which} has no Gaussians to show.")
+        if gaussians.sh_degree > MAX_SH_DEGREE:
+            raise FormatError(
+                f"{name}: a page shows SH up to degree {MAX_SH_DEGREE}, and {which} has degree "
+                f"{gaussians.sh_degree}. Reduce it to degree {MAX_SH_DEGREE} first "
+                "(splatax.editing.reduce_degree, or splatax export).",
+                options=(f"sh_degree {MAX_SH_DEGREE}",),
+            )
+        filters.add(gaussians.low_pass)
+    if len(filters) > 1:
+        raise FormatError(
+            f"{name}: a page has one low-pass filter, and some parts were trained with antialiasing, others "
+            "without. Train them alike."
+        )
+    return filters.pop()
 
 
 def require_viewer() -> None:

@@ -86,6 +86,12 @@ def pose_of(camera: Camera, focus: float) -> dict:
     }
 
 
+def pose_at(place: Similarity, means: Float[np.ndarray, "n 3"], camera: Camera) -> dict:
+    """Converts a camera of the world to a pose of the viewer, which turns about what the camera sees."""
+    sample = means[:: max(len(means) // SAMPLE, 1)]
+    return pose_of(place.transform_camera(camera), place.scale * _median_depth(sample, camera))
+
+
 def _rounded(values: np.ndarray) -> list[float]:
     return [round(float(value), 7) for value in values]
 

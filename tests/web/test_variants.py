@@ -1,0 +1,162 @@
+"""The page of a product: every combination of its variants is what `render` draws of the chosen scene."""
+
+import io
+import itertools
+import re
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from PIL import Image
+
+import splatax as sx
+from scenes import camera_at, random_gaussians
+from splatax import web
+from splatax.scene import ColorMap, Option, chosen
+from splatax.transforms import Similarity
+
+SIZE = (320, 240)
+CAMERA = camera_at((0.4, -0.8, -4.0), size=SIZE, focal=280.0)
+BODY = random_gaussians(0, n=3000, scale=(0.01, 0.04), spread=0.6)
+WHEEL = random_gaussians(1, n=800, scale=(0.02, 0.08), spread=0.5)
+SCENE = sx.Scene(
+    {
+        "body": sx.Part(BODY),
+        "wheel": sx.Part(WHEEL, Similarity.of(degrees=(0.0, 70.0, 20.0), scale=0.5, move=(-0.9, 0.4, -0.4))),
+        "sport": sx.Part(WHEEL, Similarity.of(degrees=(90.0, 0.0, 0.0), scale=0.6, move=(0.8, 0.4, -0.4))),
+    }
+)
+SWAP = ColorMap(np.eye(3, dtype=np.float32)[[1, 2, 0]] * 0.7, np.array([0.2, 0.0, 0.1], np.float32))
+VARIANTS = {
+    "paint": {
+        "plain": Option(),
+        "red": Option(colors={"body": ColorMap.dye((1.0, 0.2, 0.1))}),
+        "<swapped>": Option(colors={"body": SWAP}),
+    },
+    "wheels": {
+        "city": Option(shows=("wheel",)),
+        "sport": Option(shows=("sport",)),
+        "both": Option(shows=("wheel", "sport")),
+    },
+}
+NOTES = (web.Hotspot((0.0, 0.0, 0.0), "The middle & more"), web.Hotspot((0.8, 0.4, -0.4), "Sport", "sport"))
+LIKE = 34.0  # dB
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory, viewer):
+    path = tmp_path_factory.mktemp("variants") / "car.html"
+    offered = web.Presentation(VARIANTS, NOTES, start=CAMERA, path=[CAMERA, camera_at((3.0, -1.0, 1.5))])
+    web.save(path, SCENE, title="car", presentation=offered)
+    return path
+
+
+def picture(tab) -> np.ndarray:
+    tab.tell("document.body.classList.add('bare')")
+    with Image.open(io.BytesIO(tab.tab.screenshot())) as image:
+        return np.asarray(image.convert("RGB"), np.float32) / 255
+
+
+def psnr(a, b) -> float:
+    return float(-10 * np.log10(np.mean((a - b) ** 2)))
+
+
+def test_a_file_that_parts_share_is_in_the_page_once(page):
+    names = set(re.findall(r'part\("([^"]*)", "', page.read_text()))
+    assert names == {"viewer", "part-0", "part-1"}
+
+
+@pytest.mark.slow
+def test_every_choice_is_drawn_as_by_our_renderer(open_page, page):
+    tab = open_page(page, SIZE)
+    tab.settle()
+    seen = []
+    for paint, wheels in itertools.product(*VARIANTS.values()):
+        tab.tell(f"(viewer.choose('paint', '{paint}'), viewer.choose('wheels', '{wheels}'))")
+        tab.tell("viewer.settled = false")
+        tab.settle()
+        scene = chosen(SCENE, VARIANTS, {"paint": paint, "wheels": wheels})
+        seen.append(picture(tab))
+        expected = np.clip(sx.render(scene, CAMERA).rgb, 0, 1)
+        assert psnr(seen[-1], expected) > LIKE, (paint, wheels)
+    assert min(np.abs(a - b).max() for a, b in itertools.combinations(seen, 2)) > 0.1
+    assert tab.errors == []
+    assert [url for url in tab.requests if not url.startswith("blob:")] == [page.as_uri()]
+
+
+@pytest.mark.slow
+def test_buttons_have_names_and_tell_what_is_chosen(open_page, page):
+    tab = open_page(page)
+    tab.settle()
+    group = tab.tab.get_by_role("group", name="paint")
+    swapped = group.get_by_role("button", name="<swapped>")
+    assert group.get_by_role("button", name="plain").get_attribute("aria-pressed") == "true"
+    swapped.focus()
+    tab.tab.keyboard.press("Enter")
+    assert swapped.get_attribute("aria-pressed") == "true"
+    assert group.get_by_role("button", name="plain").get_attribute("aria-pressed") == "false"
+    assert tab.tell("viewer.variants.chosen") == {"paint": "<swapped>", "wheels": "city"}
+
+
+@pytest.mark.slow
+def test_notes_follow_their_places_open_when_pressed_and_hide_with_their_part(open_page, page):
+    tab = open_page(page, SIZE)
+    tab.settle()
+    note = tab.tab.get_by_role("button", name="The middle & more")
+    box = note.bounding_box()
+    where = CAMERA.to_pixel(CAMERA.to_camera(jnp.zeros(3)))
+    np.testing.assert_allclose([box["x"] + 15, box["y"] + 15], where, atol=1.5)
+    note.click()
+    assert note.get_attribute("aria-expanded") == "true"
+    assert note.locator("span").inner_text() == "The middle & more"
+    sport = tab.tab.get_by_role("button", name="Sport", exact=True).first
+    assert not tab.tab.locator(".hotspot", has_text="Sport").is_visible()
+    tab.tell("viewer.choose('wheels', 'sport')")
+    tab.settle()
+    tab.wait_for("!document.querySelectorAll('.hotspot')[1].hidden")
+    assert sport.is_visible()
+
+
+@pytest.mark.slow
+def test_on_a_phone_all_choices_are_in_reach(open_page, page):
+    tab = open_page(page, (390, 700), has_touch=True, is_mobile=True)
+    tab.settle()
+    for name in ("plain", "red", "city", "both"):
+        button = tab.tab.get_by_role("button", name=name, exact=True)
+        button.tap()
+        assert button.get_attribute("aria-pressed") == "true"
+        assert button.bounding_box()["height"] >= 34
+
+
+@pytest.mark.slow
+def test_an_embedded_page_has_no_buttons_and_plays_unless_less_motion_is_asked_for(
+    browser, open_page, tmp_path, viewer
+):
+    path = tmp_path / "embedded.html"
+    offered = web.Presentation(start=CAMERA, play="turntable", autoplay=True, buttons=False)
+    web.save(path, SCENE, title="car", presentation=offered)
+    calm = open_page(path, SIZE)
+    calm.settle()
+    assert not calm.tab.locator("nav").is_visible()
+    assert not calm.tell("viewer.playing")
+    context = browser.new_context(viewport={"width": 320, "height": 240})
+    tab = context.new_page()
+    tab.goto(path.as_uri())
+    for _ in range(400):
+        if tab.evaluate("Boolean(window.viewer) && viewer.playing"):
+            break
+        tab.wait_for_timeout(50)
+    assert tab.evaluate("viewer.playing")
+    context.close()
+
+
+def test_what_the_scene_has_not_is_refused_with_the_name_of_the_page(viewer):
+    def document(**offered):
+        web.document(SCENE, title="car", presentation=web.Presentation(**offered), name="car.html")
+
+    with pytest.raises(sx.FormatError, match=r"car\.html: option 'red' of variant 'paint' names part 'hood'"):
+        document(variants={"paint": {"red": Option(shows=("hood",))}})
+    with pytest.raises(sx.FormatError, match="both color part 'body'"):
+        document(variants={name: {"a": Option(colors={"body": SWAP})} for name in ("paint", "trim")})
+    with pytest.raises(sx.FormatError, match="hotspot belongs to part 'hood'"):
+        document(hotspots=(web.Hotspot((0.0, 0.0, 0.0), "x", "hood"),))

@@ -1,0 +1,36 @@
+// Notes at places of the scene: buttons that follow the view, and tell their text when pressed.
+import { Vector3 } from 'three';
+
+export class Hotspots {
+  #notes;
+
+  constructor(parent, hotspots) {
+    this.#notes = hotspots.map(({ at, text, part }, i) => {
+      const button = document.createElement('button');
+      button.className = 'hotspot';
+      button.setAttribute('aria-expanded', 'false');
+      button.setAttribute('aria-label', text);
+      const number = document.createElement('b');
+      number.textContent = i + 1;
+      const note = document.createElement('span');
+      note.textContent = text;
+      button.append(number, note);
+      button.addEventListener('click', () => {
+        button.setAttribute('aria-expanded', button.getAttribute('aria-expanded') !== 'true');
+      });
+      parent.append(button);
+      return { button, part, at: new Vector3(...at) };
+    });
+  }
+
+  /** Moves the buttons to where the camera sees their places; `shows` tells whether a part is visible. */
+  place(camera, width, height, shows) {
+    for (const { button, part, at } of this.#notes) {
+      const seen = at.clone().applyMatrix4(camera.matrixWorldInverse);
+      button.hidden = seen.z > -camera.near || (part >= 0 && !shows(part));
+      if (button.hidden) continue;
+      const place = seen.applyMatrix4(camera.projectionMatrix);
+      button.style.transform = `translate(${((place.x + 1) / 2) * width}px, ${((1 - place.y) / 2) * height}px)`;
+    }
+  }
+}

@@ -12,6 +12,7 @@ import tyro
 import splatax
 from splatax.cli.bench import Bench
 from splatax.cli.compare import Compare
+from splatax.cli.compose import Compose
 from splatax.cli.create import Create
 from splatax.cli.demo import Demo
 from splatax.cli.doctor import Doctor
@@ -41,6 +42,7 @@ COMMANDS = {
     "compare": Compare,
     "export": Export,
     "page": Page,
+    "compose": Compose,
     "demo": Demo,
     "bench": Bench,
     "doctor": Doctor,

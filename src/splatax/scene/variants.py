@@ -20,9 +20,7 @@ class Option:
     colors: Mapping[str, ColorMap] = field(default_factory=dict)
 
 
-Variants = Mapping[
-    str, Mapping[str, Option]
-]  # variant -> option -> what it changes; the first is the default
+Variants = Mapping[str, Mapping[str, Option]]  # by variant and option; the first option is the default
 
 
 def check_variants(scene: Scene, variants: Variants) -> None:

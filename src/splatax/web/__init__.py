@@ -1,5 +1,7 @@
 """Scenes as single HTML files, which need no server and no network."""
 
+from splatax.web.composition import Composition as Composition
+from splatax.web.composition import compose as compose
 from splatax.web.page import LOSES as LOSES
 from splatax.web.page import MAX_SH_DEGREE as MAX_SH_DEGREE
 from splatax.web.page import document as document

@@ -1,0 +1,57 @@
+"""`splatax compose`: parts from splat files as one scene, with variants, as a page or a .glb file."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from splatax import web
+from splatax.cli.options import OverwriteFlag
+from splatax.cli.output import say
+from splatax.cli.page import is_page
+from splatax.errors import InputError
+from splatax.io.scenes import save_scene
+
+
+@dataclass(frozen=True)
+class Compose:
+    """Compose a scene of parts with variants, as a web page or a .glb file.
+
+    A .toml file names the splat file and the place of each part, the variants, notes, the first view and a
+    flight; docs/configurator.md lists its keys. A page has a button for each option. A .glb file has a node
+    for each part, with the first option of each variant.
+    """
+
+    composition: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE.toml")]
+    """The file that describes the scene."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
+    """The file to write, .html or .glb."""
+    overwrite: OverwriteFlag = False
+    """Replace the file if it exists."""
+
+    def run(self) -> None:
+        if not is_page(self.out) and self.out.suffix.lower() != ".glb":
+            raise InputError(f"{self.out}: a composition is written as .html or .glb. Choose such a name.")
+        if self.out.exists() and not self.overwrite:
+            raise InputError(f"{self.out}: exists. Choose another name, or replace it: --overwrite.")
+        if is_page(self.out):
+            web.require_viewer()
+        found = web.compose(self.composition)
+        self.out.parent.mkdir(parents=True, exist_ok=True)
+        if is_page(self.out):
+            web.save(
+                self.out,
+                found.scene,
+                title=found.title,
+                background=found.background,
+                presentation=found.presentation,
+            )
+        else:
+            save_scene(self.out, found.at_first, comments=(found.title,))
+        options = sum(map(len, found.presentation.variants.values()))
+        say(
+            f"{self.out}: {len(found.scene.parts)} parts, {len(found.scene):,} Gaussians, "
+            f"{options} options of {len(found.presentation.variants)} variants, "
+            f"{self.out.stat().st_size / 1e6:.1f} MB"
+        )

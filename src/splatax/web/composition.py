@@ -1,0 +1,206 @@
+"""Compositions: a .toml file that places parts, and says what a page offers.
+
+title = "Car"
+[parts.body]
+file = "body.ply"
+[parts.wheel]
+file = "wheel.ply"
+degrees = [0, 90, 0]
+scale = 0.5
+move = [1, 0, 0.2]
+[variants.paint.white]
+[variants.paint.red]
+dye.body = [0.9, 0.1, 0.1]
+"""
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from splatax.cameras import Camera, look_at
+from splatax.errors import FormatError
+from splatax.gaussians import Gaussians
+from splatax.io import formats
+from splatax.io.scenes import load_scene
+from splatax.scene import ColorMap, Option, Part, Scene, Variants, chosen
+from splatax.trajectories import keyframes
+from splatax.transforms import Similarity
+from splatax.web.presentation import Hotspot, Presentation
+
+COLORS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
+UP = (0.0, -1.0, 0.0)  # y points down, as in a camera
+FRAMES = 60  # cameras of a flight
+SIZE = (1600, 1000)  # pixels; only their ratio matters
+SECONDS = 20.0
+
+
+@dataclass(frozen=True)
+class Composition:
+    """What a .toml file of parts describes.
+
+    Attributes:
+        scene: all parts; `scene.chosen` applies the variants to it.
+        presentation: what its page offers.
+        title: title of the page.
+        background: display-referred RGB behind the scene.
+    """
+
+    scene: Scene
+    presentation: Presentation
+    title: str
+    background: tuple[float, float, float]
+
+    @property
+    def at_first(self) -> Scene:
+        """The scene with the first option of each variant, as the page opens and as files keep it."""
+        return chosen(self.scene, self.presentation.variants)
+
+
+def compose(path: str | Path) -> Composition:
+    """Reads a .toml file of parts and variants, and the splat files that it names.
+
+    docs/configurator.md lists the keys. Files are looked for beside the .toml file, and read once each.
+
+    Raises:
+        FormatError: if a file is missing or damaged, a key is unknown or has no valid value, or a variant or
+            a note names a part that there is not.
+    """
+    path = Path(path)
+    try:
+        table = tomllib.loads(path.read_text())
+    except FileNotFoundError:
+        raise FormatError(f"{path}: no such file. Give a .toml file of parts.") from None
+    except (OSError, ValueError) as error:
+        raise FormatError(f"{path}: not a TOML file ({error}).") from error
+    try:
+        return _composed(path, table)
+    except FormatError:
+        raise
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        reason = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else str(error)
+        raise FormatError(f"{path}: {reason}. docs/configurator.md shows an example.") from error
+
+
+def _composed(path: Path, table: dict[str, Any]) -> Composition:
+    known = ("title", "background", "parts", "variants", "hotspots", "start", "path", "embed")
+    _check_keys("the file", table, known)
+    read: dict[tuple[str, str | None], Gaussians] = {}
+    scene = Scene({name: _part(path, name, row, read) for name, row in table.get("parts", {}).items()})
+    variants = {
+        variant: {name: _option(f"[variants.{variant}.{name}]", row) for name, row in options.items()}
+        for variant, options in table.get("variants", {}).items()
+    }
+    chosen(scene, variants)
+    presentation = _presentation(path, table, variants)
+    for spot in presentation.hotspots:
+        if spot.part is not None:
+            scene[spot.part]
+    background = table.get("background", "black")
+    rgb = COLORS.get(background) if isinstance(background, str) else _numbers("background", background, 3)
+    if rgb is None:
+        raise ValueError(f"background is {background!r}, not black, white or three numbers")
+    return Composition(scene, presentation, str(table.get("title", path.stem)), (rgb[0], rgb[1], rgb[2]))
+
+
+def _part(path: Path, name: str, row: dict[str, Any], read: dict[tuple[str, str | None], Gaussians]) -> Part:
+    where = f"[parts.{name}]"
+    known = ("file", "node", "degrees", "scale", "move", "visible", "tint", "dye", "matrix", "offset")
+    _check_keys(where, row, known)
+    source = (str(row["file"]), row.get("node"))
+    if source not in read:
+        file, node = path.parent / source[0], source[1]
+        read[source] = formats.load(file) if node is None else load_scene(file)[node].gaussians
+    place = {key: _numbers(f"{where} {key}", row[key], 3) for key in ("degrees", "move") if key in row}
+    pose = Similarity.of(**place, scale=float(row.get("scale", 1)))  # type: ignore[arg-type]
+    visible = row.get("visible", True)
+    if not isinstance(visible, bool):
+        raise ValueError(f"{where} visible is {visible!r}, not true or false")
+    return Part(read[source], pose, visible, _color(where, row))
+
+
+def _color(where: str, row: Mapping[str, Any]) -> ColorMap | None:
+    given = [key for key in ("tint", "dye", "matrix") if key in row]
+    if len(given) > 1 or ("offset" in row and given != ["matrix"]):
+        raise ValueError(f"{where} has more than one color. Give tint, dye, or a matrix with an offset")
+    if not given:
+        return None
+    if given == ["matrix"]:
+        rows = [_numbers(f"{where} matrix", numbers, 3) for numbers in row["matrix"]]
+        offset = _numbers(f"{where} offset", row.get("offset", (0, 0, 0)), 3)
+        return ColorMap(np.array(rows, np.float32).reshape(3, 3), np.array(offset, np.float32))
+    red, green, blue = _numbers(f"{where} {given[0]}", row[given[0]], 3)
+    return {"tint": ColorMap.tint, "dye": ColorMap.dye}[given[0]]((red, green, blue))
+
+
+def _option(where: str, row: dict[str, Any]) -> Option:
+    maps = ("tint", "dye", "matrix", "offset")
+    _check_keys(where, row, ("show", *maps))
+    parts = dict.fromkeys(part for key in maps for part in row.get(key, {}))
+    colors = {}
+    for part in parts:
+        own = {key: row[key][part] for key in maps if part in row.get(key, {})}
+        color = _color(f"{where} {part}", own)
+        if color is None:
+            raise ValueError(f"{where} {part} has an offset without a matrix")
+        colors[part] = color
+    show = row.get("show", [])
+    if not isinstance(show, list):
+        raise ValueError(f"{where} show is {show!r}, not a list of parts")
+    return Option(tuple(map(str, show)), colors)
+
+
+def _presentation(path: Path, table: dict[str, Any], variants: Variants) -> Presentation:
+    spots = []
+    for row in table.get("hotspots", []):
+        _check_keys("[[hotspots]]", row, ("at", "text", "part"))
+        x, y, z = _numbers("[[hotspots]] at", row["at"], 3)
+        spots.append(Hotspot((x, y, z), str(row["text"]), row.get("part")))
+    embed, flight, start = table.get("embed", {}), table.get("path", {}), table.get("start")
+    _check_keys("[embed]", embed, ("buttons", "autoplay", "turntable"))
+    _check_keys("[path]", flight, ("file", "seconds"))
+    cameras = keyframes.read(path.parent / flight["file"], FRAMES, SIZE) if flight else []
+    return Presentation(
+        variants,
+        tuple(spots),
+        None if start is None else _view(start),
+        cameras,
+        float(flight.get("seconds", SECONDS)),
+        "turntable" if embed.get("turntable", False) else "flight",
+        bool(embed.get("autoplay", False)),
+        bool(embed.get("buttons", True)),
+    )
+
+
+def _view(row: dict[str, Any]) -> Camera:
+    _check_keys("[start]", row, ("position", "target", "up", "fov"))
+    position, target = (_numbers(f"[start] {key}", row[key], 3) for key in ("position", "target"))
+    up = _numbers("[start] up", row.get("up", UP), 3)
+    fov = float(row.get("fov", 50))
+    if not 0 < fov < 180:
+        raise ValueError(f"[start] fov is an angle of 0 to 180 degrees, not {fov}")
+    pose = look_at(*(jnp.asarray(point, jnp.float32) for point in (position, target, up)))
+    if not np.isfinite(pose).all():
+        raise ValueError("[start] position, target and up lie on a line")
+    width, height = SIZE
+    return Camera.simple_pinhole(height / 2 / math.tan(math.radians(fov) / 2), pose, width, height)
+
+
+def _numbers(what: str, values: Any, count: int) -> tuple[float, ...]:
+    numbers = [float(value) for value in values] if isinstance(values, list | tuple) else []
+    if len(numbers) != count or not np.isfinite(numbers).all():
+        raise ValueError(f"{what} is {values!r}, not {count} numbers")
+    return tuple(numbers)
+
+
+def _check_keys(where: str, row: Any, known: tuple[str, ...]) -> None:
+    if not isinstance(row, dict):
+        raise ValueError(f"{where} is {row!r}, not a table")
+    for key in row:
+        if key not in known:
+            raise ValueError(f"{where} has {key!r}, which is not one of {', '.join(known)}")

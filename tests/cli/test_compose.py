@@ -1,0 +1,152 @@
+"""`splatax compose`: a .toml file of parts becomes a page or a .glb file."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import splatax as sx
+from scenes import camera_at, random_gaussians
+from splatax import cli, web
+from splatax.scene import chosen
+from splatax.web import page
+
+CAR = """
+title = "Car & more"
+background = "white"
+[parts.body]
+file = "body.ply"
+[parts.front]
+file = "wheel.ply"
+degrees = [0, 90, 0]
+scale = 0.5
+move = [1, 0, 0.2]
+[parts.rear]
+file = "wheel.ply"
+move = [-1, 0, 0.2]
+tint = [1, 0.5, 0.5]
+[variants.paint.plain]
+[variants.paint.red]
+dye.body = [0.9, 0.1, 0.1]
+[variants.drive.front]
+show = ["front"]
+[variants.drive.all]
+show = ["front", "rear"]
+matrix.front = [[0, 1, 0], [0, 0, 1], [1, 0, 0]]
+offset.front = [0.1, 0, 0]
+[[hotspots]]
+at = [1, 0, 0.2]
+text = "Front"
+part = "front"
+[start]
+position = [0, -1, -5]
+target = [0, 0, 0]
+[path]
+file = "keyframes.json"
+seconds = 5
+[embed]
+autoplay = true
+"""
+KEYS = [
+    {"position": [x, 0, -4], "wxyz": [1, 0, 0, 0], "fov": 40} for x in (-1, 0, 1)
+]  # three views from the front
+
+
+@pytest.fixture
+def car(tmp_path, monkeypatch):
+    for name, seed in (("body", 0), ("wheel", 1)):
+        sx.save(tmp_path / f"{name}.ply", random_gaussians(seed, n=40, degree=1))
+    (tmp_path / "keyframes.json").write_text(json.dumps({"keyframes": KEYS}))
+    (tmp_path / "viewer.js").write_text("")
+    monkeypatch.setattr(page, "VIEWER", tmp_path / "viewer.js")
+    path = tmp_path / "car.toml"
+    path.write_text(CAR)
+    return path
+
+
+def test_parts_are_placed_and_share_their_files(car):
+    found = web.compose(car)
+    assert found.title == "Car & more"
+    assert found.background == (1, 1, 1)
+    assert found.scene.names == ("body", "front", "rear")
+    assert found.scene["front"].gaussians is found.scene["rear"].gaussians
+    assert_allclose(found.scene["front"].pose.translation, [1, 0, 0.2])
+    assert found.scene["front"].pose.scale == 0.5
+    assert_allclose(found.scene["rear"].color.matrix, np.diag([1, 0.5, 0.5]))
+
+
+def test_the_first_options_are_chosen_at_first_and_others_on_request(car):
+    found = web.compose(car)
+    assert [part.visible for part in found.at_first.parts.values()] == [1, 1, 0]
+    variants = found.presentation.variants
+    other = chosen(found.scene, variants, {"drive": "all", "paint": "red"})
+    assert other["rear"].visible == 1
+    assert_allclose(other["front"].color.matrix @ [0.1, 0.2, 0.3], [0.2, 0.3, 0.1], rtol=1e-6)
+    assert_allclose(other["body"].color.matrix @ [1, 1, 1], [0.9, 0.1, 0.1], rtol=1e-5)
+    with pytest.raises(ValueError, match="no option 'blue': choose from plain, red"):
+        chosen(found.scene, variants, {"paint": "blue"})
+    with pytest.raises(ValueError, match="no variant 'roof': choose from paint, drive"):
+        chosen(found.scene, variants, {"roof": "open"})
+
+
+def test_a_glb_file_keeps_the_parts_of_the_first_options(car, tmp_path, capsys):
+    cli.main(["compose", str(car), "--out", str(tmp_path / "car.glb")])
+    assert "3 parts, 120 Gaussians, 4 options of 2 variants" in capsys.readouterr().out
+    back, found = sx.load_scene(tmp_path / "car.glb"), web.compose(car).at_first
+    camera = camera_at()
+    assert_allclose(sx.render(back, camera).rgb, sx.render(found, camera).rgb, atol=1e-3)
+
+
+def test_a_page_is_told_everything(car, tmp_path):
+    cli.main(["compose", str(car), "--out", str(tmp_path / "new" / "car.html")])
+    text = (tmp_path / "new" / "car.html").read_text()
+    assert "<h1>Car &amp; more</h1>" in text
+    told = json.loads(re.search(r'id="page">(.*?)</script>', text)[1])
+    assert [variant["name"] for variant in told["variants"]] == ["paint", "drive"]
+    assert told["variants"][1]["options"][1]["shows"] == [1, 2]
+    assert [spot["text"] for spot in told["hotspots"]] == ["Front"]
+    assert told["seconds"] == 5
+    assert told["autoplay"] is True
+    assert len(told["path"]) == 60
+    first, last = (np.array(told["path"][i]["position"]) for i in (0, -1))
+    assert_allclose(last - first, [np.linalg.norm(last - first), 0, 0], atol=1e-4)
+    assert_array_equal(told["background"], [1, 1, 1])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("move = [1, 0, 0.2]", "moved = [1, 0, 0.2]"), "[parts.front] has 'moved'"),
+        (("move = [1, 0, 0.2]", "move = [1, 0]"), "[parts.front] move is [1, 0], not 3 numbers"),
+        (("scale = 0.5", "scale = 0"), "scale > 0"),
+        (('file = "body.ply"', 'file = "hood.ply"'), "hood.ply: no such file"),
+        (('file = "body.ply"', ""), "'file' is missing"),
+        (('show = ["front"]', 'show = ["hood"]'), "names part 'hood'"),
+        (('part = "front"', 'part = "hood"'), "no part 'hood'"),
+        (("tint = [1, 0.5, 0.5]", "tint = [1, 1, 1]\ndye = [1, 1, 1]"), "more than one color"),
+        (('background = "white"', 'background = "sky"'), "background is 'sky', not black, white"),
+        (("[start]", "[start"), "not a TOML file"),
+        (("target = [0, 0, 0]", "target = [0, -1, -5]"), "lie on a line"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_sentence_with_the_file(car, tmp_path, capsys, change, message):
+    assert change[0] in CAR
+    car.write_text(CAR.replace(*change))
+    with pytest.raises(SystemExit) as exit:
+        cli.main(["compose", str(car), "--out", str(tmp_path / "car.glb")])
+    assert exit.value.code == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert "car.toml" in error or "hood.ply" in error
+    assert not (tmp_path / "car.glb").exists()
+
+
+def test_other_suffixes_and_existing_files_are_refused(car, tmp_path, capsys):
+    (tmp_path / "car.glb").write_text("mine")
+    for name, way_out in (("car.ply", ".html or .glb"), ("car.glb", "--overwrite")):
+        with pytest.raises(SystemExit):
+            cli.main(["compose", str(car), "--out", str(tmp_path / name)])
+        assert way_out in capsys.readouterr().err
+    assert (tmp_path / "car.glb").read_text() == "mine"

@@ -59,7 +59,7 @@ def stage(gaussians: Gaussians, cameras: Mapping[str, Camera]) -> Stage:
     extent = max(spread, 0.2 * float(np.median(depths)))  # cameras in one place: from the depths seen
     place = _place(_levelling(poses), middle, SIZE / extent)
     there = [
-        pose_of(place.transform_camera(camera), place.scale * depth)
+        pose_of(place.transform_camera(camera), float(place.scale) * depth)
         for camera, depth in zip(poses, depths, strict=True)
     ]
     central = int(np.argmin(np.linalg.norm(eyes - np.median(eyes, axis=0), axis=1)))
@@ -89,7 +89,7 @@ def pose_of(camera: Camera, focus: float) -> dict:
 def pose_at(place: Similarity, means: Float[np.ndarray, "n 3"], camera: Camera) -> dict:
     """Converts a camera of the world to a pose of the viewer, which turns about what the camera sees."""
     sample = means[:: max(len(means) // SAMPLE, 1)]
-    return pose_of(place.transform_camera(camera), place.scale * _median_depth(sample, camera))
+    return pose_of(place.transform_camera(camera), float(place.scale) * _median_depth(sample, camera))
 
 
 def _rounded(values: np.ndarray) -> list[float]:

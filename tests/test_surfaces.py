@@ -51,6 +51,7 @@ def test_flat_gaussians_have_the_plane_that_they_lie_on(camera):
     shown = np.asarray(splats.extents[:, 0] > 0)
     assert shown.sum() > 40
     assert_allclose(found.normals[shown], np.broadcast_to(NORMAL, (shown.sum(), 3)), atol=1e-6)
+    assert_allclose(found.axes[shown], np.broadcast_to(NORMAL, (shown.sum(), 3)), atol=1e-9)
 
     def disparity(pixel):  # of the true plane
         origin, direction = ray(camera, pixel)

@@ -169,7 +169,7 @@ def median_surface_depth(drawn: Drawn) -> Float[Array, "h w"]:
 
 
 def normals(drawn: Drawn) -> Float[Array, "h w 3"]:
-    """Returns the mean normal of the planes at each pixel, as a unit vector; 0 where there is none."""
+    """Returns the mean of the shortest axes at each pixel, as a unit vector; 0 where there is none."""
     assert drawn.sums is not None
     return unit(drawn.sums)
 
@@ -239,7 +239,7 @@ OUTPUTS: dict[str, Output] = {
     "median_depth": Output(median_depth, selected=0),
     "surface_depth": Output(surface_depth, surface_channels),
     "median_surface_depth": Output(median_surface_depth, selected=0),
-    "normals": Output(normals, lambda seen: planes(*_scene_of(seen, "normals"), seen.splats).normals),
+    "normals": Output(normals, lambda seen: planes(*_scene_of(seen, "normals"), seen.splats).axes),
     "parts": Output(lambda drawn: drawn.sums, part_rows),
     "contributors": Output(contributors(8).finish, selected=8),
 }
@@ -281,7 +281,7 @@ class Rendering:
         median_depth  [h w]    depth of the splat that makes the pixel half opaque; 0 if none does
         surface_depth [h w]    depth of the blended planes of the Gaussians at the pixel; 0 if none
         median_surface_depth   [h w]: depth of the plane of the Gaussian that makes it half opaque; 0 if none
-        normals       [h w 3]  mean normal of these planes, unit vectors in the world; 0 if none
+        normals       [h w 3]  mean normal of the Gaussians, unit vectors in the world; 0 if none
         parts         [h w p]  fraction of the pixel that each part of a `Scene` fills; their sum is alpha
         contributors           `Contributors`: the Gaussians with the largest weights, and the weights
 

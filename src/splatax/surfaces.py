@@ -36,11 +36,15 @@ class Planes(NamedTuple):
         disparities: inverse depth by the lens at the mean, 1 / world units.
         slopes: change of the inverse depth with the pixel, x and y.
         normals: unit normals in the world, towards the camera.
+        axes: the shortest axes of the Gaussians, unit vectors in the world, towards the camera. They equal
+            the normals of flat Gaussians. Those of rounder ones are nearer to the surface's normal, which
+            the ray turns towards the camera.
     """
 
     disparities: Float[Array, " n"]
     slopes: Float[Array, "n 2"]
     normals: Float[Array, "n 3"]
+    axes: Float[Array, "n 3"]
 
 
 @jax.jit
@@ -65,15 +69,15 @@ def planes(gaussians: Gaussians, camera: Camera, splats: Splats) -> Planes:
         log_scale = jnp.where(shown, jnp.maximum(log_scale, LEAST_LOG_SCALE), 0)  # -inf is exactly flat
         opacity = jnp.where(shown, opacity, 1)
         sqrt_conic = jnp.where(shown, sqrt_conic, jnp.array([1, 0, 1], sqrt_conic.dtype))
-        disparity, slope, normal, spread = _plane(camera, mean, quat, log_scale)
-        return disparity, slope * _limit(disparity, slope, spread, sqrt_conic, opacity), normal
+        disparity, slope, normal, axis, spread = _plane(camera, mean, quat, log_scale)
+        return disparity, slope * _limit(disparity, slope, spread, sqrt_conic, opacity), normal, axis
 
     fields = gaussians.means, gaussians.quats, gaussians.log_scales, splats.sqrt_conics, splats.opacities
     return Planes(*jax.vmap(one)(shown, *fields))
 
 
 def _plane(camera: Camera, mean: Float[Array, "3"], quat: Float[Array, "4"], log_scale: Float[Array, "3"]):
-    """Returns inverse depth, slope and normal of one plane, and the Gaussian's deviation of inverse depth."""
+    """Returns one plane, and the Gaussian's standard deviation of inverse depth."""
 
     def seen(point):
         local = camera.to_camera(point)
@@ -91,7 +95,9 @@ def _plane(camera: Camera, mean: Float[Array, "3"], quat: Float[Array, "4"], log
     normal = axes @ (precision * (axes.T @ facing))
     slope = -jnp.stack([normal @ along[0], normal @ along[1]]) / (normal @ along[2])
     spread = jnp.linalg.norm((near @ axes) * jnp.exp(log_scale))
-    return place[2], slope, normal / jnp.linalg.norm(normal), spread
+    axis = axes[:, jnp.argmin(log_scale)]
+    axis = jnp.where(axis @ facing < 0, -axis, axis)
+    return place[2], slope, normal / jnp.linalg.norm(normal), axis, spread
 
 
 def _limit(

@@ -16,6 +16,7 @@ from splatax import backends, cli, lpips
 from splatax.cli import render
 from splatax.cli.settings import Settings
 from splatax.training.backgrounds import Solid
+from splatax.training.geometry import Surfaces
 from splatax.training.initialize import InFrusta
 from splatax.training.recipes import PRESETS, room_for
 
@@ -63,6 +64,8 @@ def test_options_decide_over_the_recipe_and_nothing_else_does(capture):
     assert recipe.density.max_gaussians == 70
     assert recipe.initialization == InFrusta(opacity=0.5, scale=0.1)
     assert recipe.background == Solid((1.0, 1.0, 1.0))
+    surfaces = Settings(capture, geometry=True).to_recipe(dataset)
+    assert surfaces == replace(plain, objective=replace(plain.objective, geometry=Surfaces()))
     classic = Settings(capture, recipe="classic").to_recipe(dataset)
     assert classic == replace(PRESETS["classic"].build(), backend=plain.backend)
 

@@ -92,8 +92,8 @@ def batch(
     landmarks: Float[np.ndarray, "k 3"] | None = None,
 ) -> Batch:
     """Copies a view to the device."""
-    mask, landmarks = (None if rows is None else jnp.asarray(rows) for rows in (mask, landmarks))
-    return Batch(camera, jnp.asarray(photo), mask, source, divisor, landmarks)
+    counted, known = (None if rows is None else jnp.asarray(rows) for rows in (mask, landmarks))
+    return Batch(camera, jnp.asarray(photo), counted, source, divisor, known)
 
 
 def landmarks_of(views: Sequence[View]) -> Float[np.ndarray, "views k 3"] | None:

@@ -17,9 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from splatax.backends.protocol import Kernels
 from splatax.cameras import Camera
 from splatax.outputs import (
-    OUTPUTS,
     Drawn,
     Output,
     Seen,
@@ -28,7 +28,8 @@ from splatax.outputs import (
     surface_depth,
     unrolled,
 )
-from splatax.surfaces import normals_of
+from splatax.stages import composite
+from splatax.surfaces import normals_of, planes
 
 LEAST_VARIANCE = 1e-8  # of relative depth, below which float32 cannot tell it from zero
 
@@ -39,7 +40,7 @@ class NoGeometry:
 
     @property
     def outputs(self) -> Mapping[str, Output]:
-        """Nothing."""
+        """No outputs."""
         return {}
 
     def __call__(
@@ -60,8 +61,8 @@ class Surfaces:
         points: weight of the relative depth error at landmarks.
     """
 
-    spread: float = 0.2
-    consistency: float = 0.05
+    spread: float = 0.1
+    consistency: float = 0.0
     points: float = 0.2
 
     @property
@@ -106,7 +107,9 @@ def inconsistency(
 
 
 def error_at(landmarks: Float[Array, "k 3"], depth: Float[Array, "h w"], camera: Camera) -> Float[Array, ""]:
-    """Returns the mean relative error of inverse depth at the pixels of points that the view shows.
+    """Returns the mean relative error of inverse depth at points that the view shows.
+
+    Inverse depth is interpolated between the centres of pixels, which is exact on a plane through a pinhole.
 
     Args:
         landmarks: world points; rows that are not finite stand for none.
@@ -120,11 +123,15 @@ def error_at(landmarks: Float[Array, "k 3"], depth: Float[Array, "h w"], camera:
         point = jnp.where(known, point, ahead)
         seen = known & camera.lens.sees(camera.rotation @ point + camera.translation)
         local = camera.to_camera(jnp.where(seen, point, ahead))
-        x, y = jnp.floor(camera.to_pixel(local)).astype(jnp.int32)
-        inside = seen & (x >= 0) & (y >= 0) & (x < camera.width) & (y < camera.height)
-        drawn = depth[jnp.clip(y, 0, camera.height - 1), jnp.clip(x, 0, camera.width - 1)]
-        counts = inside & (drawn > 0)
-        error = camera.lens.depth(local) / jnp.where(counts, drawn, 1) - 1
+        x, y = camera.to_pixel(local) - 0.5  # in pixels from the centre of the first
+        left, top = jnp.floor(x), jnp.floor(y)
+        inside = seen & (left >= 0) & (top >= 0) & (left < camera.width - 1) & (top < camera.height - 1)
+        row, column = (jnp.where(inside, number, 0).astype(jnp.int32) for number in (top, left))
+        corners = jax.lax.dynamic_slice(depth, (row, column), (2, 2))
+        counts = inside & jnp.all(corners > 0)
+        across, down = x - left, y - top
+        weights = jnp.outer(jnp.stack([1 - down, down]), jnp.stack([1 - across, across]))
+        error = camera.lens.depth(local) * jnp.sum(weights / jnp.where(counts, corners, 1)) - 1
         return jnp.where(counts, jnp.abs(error), 0), counts
 
     errors, counts = jax.vmap(one)(landmarks)
@@ -132,7 +139,7 @@ def error_at(landmarks: Float[Array, "k 3"], depth: Float[Array, "h w"], camera:
 
 
 class Layers(NamedTuple):
-    """What the planes of the Gaussians at a pixel say of its depth.
+    """Depth of the blended planes at each pixel, and how far they lie apart.
 
     Attributes:
         depth: that of the output "surface_depth"; 0 where nothing is.
@@ -169,6 +176,13 @@ def _one_layer(drawn: Drawn) -> Layers:
     return Layers(depth, jnp.zeros_like(depth))
 
 
+def _normals(seen: Seen) -> Float[Array, "n 3"]:
+    assert seen.gaussians is not None
+    assert seen.camera is not None
+    # Those of the planes, not the shortest axes: round Gaussians are penalized too, and become flat.
+    return planes(seen.gaussians, seen.camera, seen.splats).normals
+
+
 def _normals_and_alpha(drawn: Drawn) -> Float[Array, "h w 4"]:
     assert drawn.sums is not None
     assert drawn.alpha is not None
@@ -183,24 +197,26 @@ def channels(outputs: Mapping[str, Output], seen: Seen) -> dict[str, Float[Array
     return {name: output.channels(painted) for name, output in outputs.items() if output.channels}
 
 
-def finished(
-    outputs: Mapping[str, Output], channels: Mapping[str, Float[Array, "n _"]], drawn: Drawn
+def drawn(
+    outputs: Mapping[str, Output], channels: Mapping[str, Float[Array, "n _"]], seen: Seen, kernels: Kernels
 ) -> dict[str, Any]:
     """Returns the outputs by their names.
 
     Args:
         outputs: made of blended channels alone.
         channels: theirs, by name.
-        drawn: the view; its sums are those of all channels, side by side.
+        seen: the painted splats and the camera.
+        kernels: that blend.
     """
     ends = np.cumsum([values.shape[1] for values in channels.values()])
-    parts = jnp.split(drawn.sums, ends[:-1], axis=2)
+    sums, alpha = composite(seen.splats, jnp.concatenate(list(channels.values()), axis=1), backend=kernels)
+    view = Drawn(None, alpha, None, seen, jnp.zeros(3, sums.dtype))
     return {
-        name: outputs[name].finish(drawn._replace(sums=sums))
-        for name, sums in zip(channels, parts, strict=True)
+        name: outputs[name].finish(view._replace(sums=part))
+        for name, part in zip(channels, jnp.split(sums, ends[:-1], axis=2), strict=True)
     }
 
 
 LAYERS = Output(_layers, _moments)
 ONE_LAYER = Output(_one_layer, surface_channels)
-FACING = Output(_normals_and_alpha, OUTPUTS["normals"].channels)
+FACING = Output(_normals_and_alpha, _normals)

@@ -122,7 +122,7 @@ class Geometry(Hashable, Protocol):
 
     @property
     def outputs(self) -> Mapping[str, Output]:
-        """What to draw beside the colours, by name; only blended channels. Empty draws nothing.
+        """The outputs to draw beside the colours, by name; only those of blended channels.
 
         It must have equal values for equal settings.
         """

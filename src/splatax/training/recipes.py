@@ -42,7 +42,7 @@ class ShSchedule:
 
 @dataclass(frozen=True)
 class Objective:
-    """What training minimizes: the difference to the photos, and penalties on the scene."""
+    """The objective of training: the loss of the photos, and penalties on the scene."""
 
     loss: Loss = Photometric()
     prior: Prior = NoPrior()

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt8
 
 from splatax import backends
 from splatax.gaussians import Gaussians
-from splatax.outputs import Drawn, Seen, over, unrolled
+from splatax.outputs import Seen, over, unrolled
 from splatax.splats import Splats
 from splatax.stages import composite, project
 from splatax.training import geometry, optimizer
@@ -128,15 +128,14 @@ def compare(
     objective = recipe.objective
 
     def image_loss(splats, appearance, channels, camera):
-        painted = unrolled(Seen(splats, None, camera)) if channels else Seen(splats, None, camera)
-        blended = jnp.concatenate([painted.splats.colors, *channels.values()], axis=1)
-        sums, alpha = composite(painted.splats, blended, backend=kernels)
-        image = over(recipe.appearance(appearance, sums[..., :3], alpha), alpha, background)
+        sums, alpha = composite(splats, splats.colors, backend=kernels)
+        image = over(recipe.appearance(appearance, sums, alpha), alpha, background)
         loss = objective.loss(image, photo, batch.mask, kernels.photometric)
         if not channels:
             return loss
-        drawn = Drawn(sums[..., 3:], alpha, None, painted, background)
-        images = geometry.finished(objective.geometry.outputs, channels, drawn)
+        # Drawn apart, so that `pull` tells what the photo misses, and kernels need not know it of so many.
+        seen = unrolled(Seen(replace(splats, pull=None), None, camera))
+        images = geometry.drawn(objective.geometry.outputs, channels, seen, kernels)
         return loss + objective.geometry(images, camera, batch.landmarks)
 
     # The filter keeps its size in pixels of the full photo, so that smaller photos do not blur the scene.

@@ -107,9 +107,9 @@ class Method:
     worse. Writes the cameras to refined/sparse/0. By default none. Cameras of
     held-out photos stay as given."""
     geometry: Annotated[bool, shown_as()] = False
-    """Make the Gaussians lie on surfaces, so that depth, normals and meshes of the scene can be trusted. Adds
-    penalties on the spread of depth along each ray, on normals that disagree with the depth, and on depths
-    that differ from the capture's own points or depth maps. A step takes two to three times as long."""
+    """Make the Gaussians lie on surfaces, for depth, normals and meshes. Adds penalties on the spread of
+    depth along each ray, and on depths that differ from those of the capture's own points or depth maps. A
+    step takes about three times as long. By default off."""
     backend: Annotated[BackendName | None, shown_as()] = None
     """Rasterizer. If the named one is unavailable, the command fails instead of falling back. By default
     "auto": the fastest one available."""

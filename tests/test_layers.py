@@ -13,7 +13,7 @@ LAYERS = (  # lowest first; a package stands for all its modules
     {"gaussians", "splats", "cameras", "dataset", "resampling", "scene", "transforms"},
     {"footprints", "projection", "surfaces", "sky", "losses", "metrics", "lpips", "io"},
     {"backends"},
-    {"outputs", "stages", "rendering", "trajectories"},
+    {"drawn", "surface_outputs", "outputs", "stages", "rendering", "trajectories"},
     {"training", "evaluation", "editing"},
     {"demo", "bench", "reconstruction", "notebook", "web"},
     {"runs"},

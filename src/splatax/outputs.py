@@ -14,47 +14,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from splatax import splats as views
-from splatax.backends.protocol import MOST_SELECTED, Selection
-from splatax.cameras import Camera
-from splatax.gaussians import Gaussians
-from splatax.splats import Splats
-from splatax.surfaces import pixel_centers, planes, unit
-
-BackgroundArray = Float[Array, "3"] | Float[Array, "h w 3"]
-
-
-class Seen(NamedTuple):
-    """Input of `Output.channels`: one view's splats, and the scene and camera that they come from.
-
-    Scene, camera and sizes are None where splats are drawn by themselves.
-
-    Attributes:
-        splats: the 2D Gaussians of the view.
-        gaussians: the scene in world coordinates, also if it has parts; one row for each splat, in order.
-        camera: the view.
-        sizes: the number of Gaussians of each part. A scene without parts is one.
-    """
-
-    splats: Splats
-    gaussians: Gaussians | None
-    camera: Camera | None
-    sizes: tuple[int, ...] | None = None
-
-
-class Drawn(NamedTuple):
-    """Input of `Output.finish`. Fields that the output did not ask for are None."""
-
-    sums: Float[Array, "h w c"] | None  # of weight times channel
-    alpha: Float[Array, "h w"] | None
-    selection: Selection | None
-    seen: Seen
-    background: BackgroundArray
-
-    @property
-    def splats(self) -> Splats:
-        """The splats of the view."""
-        return self.seen.splats
+from splatax.backends.protocol import MOST_SELECTED
+from splatax.drawn import BackgroundArray as BackgroundArray
+from splatax.drawn import Drawn as Drawn
+from splatax.drawn import Seen as Seen
+from splatax.drawn import scene_of, selection_of
+from splatax.surface_outputs import (
+    median_surface_depth,
+    normal_channels,
+    normals,
+    surface_channels,
+    surface_depth,
+)
 
 
 class Contributors(NamedTuple):
@@ -84,16 +55,6 @@ class Output:
     selected: int | None = None
 
 
-def unrolled(seen: Seen) -> Seen:
-    """Returns the splats that are painted, with their Gaussians: a panorama has copies beside its seam."""
-    if seen.splats.period is None:
-        return seen
-    splats, _ = views.unrolled(seen.splats, seen.splats.colors)
-    return seen._replace(
-        splats=splats, gaussians=jax.tree.map(lambda rows: jnp.concatenate([rows, rows]), seen.gaussians)
-    )
-
-
 @cache  # equal outputs share a compiled program
 def contributors(count: int) -> Output:
     """Returns the output "contributors" for another number of Gaussians, from 1 to 64.
@@ -103,7 +64,7 @@ def contributors(count: int) -> Output:
     """
     if not 1 <= count <= MOST_SELECTED:
         raise ValueError(f"contributors: {count} Gaussians for each pixel. Ask for 1 to {MOST_SELECTED}.")
-    return Output(lambda drawn: Contributors(*_selection(drawn)[:2]), selected=count)
+    return Output(lambda drawn: Contributors(*selection_of(drawn)[:2]), selected=count)
 
 
 def over(
@@ -124,54 +85,9 @@ def mean(drawn: Drawn) -> Float[Array, "h w"]:
 
 def median_depth(drawn: Drawn) -> Float[Array, "h w"]:
     """Returns the depth of the splat that makes a pixel half opaque; 0 where none does."""
-    median = _selection(drawn).median
+    median = selection_of(drawn).median
     depths = jnp.append(drawn.splats.depths, 0)  # so that index -1 is no splat
     return depths[median]
-
-
-def surface_channels(seen: Seen) -> Float[Array, "n 3"]:
-    """Returns the plane of each Gaussian, as its inverse depth at the image's centre and its slope.
-
-    The channels are those of `splatax.surfaces.planes`. Blended, they give the plane at a pixel.
-
-    Raises:
-        ValueError: if there are only splats, which do not have planes.
-    """
-    found = planes(*_scene_of(seen, "surface_depth"), seen.splats)
-    offset = seen.splats.means2d - _middle(seen.splats)[None]
-    return jnp.column_stack([found.disparities - jnp.sum(found.slopes * offset, axis=1), found.slopes])
-
-
-def surface_depth(drawn: Drawn) -> Float[Array, "h w"]:
-    """Returns the depth of the blended planes at each pixel: a harmonic mean; 0 where there is none."""
-    assert drawn.sums is not None
-    assert drawn.alpha is not None
-    offset = from_middle(drawn.splats, drawn.sums.dtype)
-    disparity = drawn.sums[..., 0] + jnp.sum(drawn.sums[..., 1:] * offset, axis=-1)
-    covered = (drawn.alpha > 0) & (disparity > 0)
-    return jnp.where(covered, drawn.alpha / jnp.where(covered, disparity, 1), 0)
-
-
-def median_surface_depth(drawn: Drawn) -> Float[Array, "h w"]:
-    """Returns the depth of the plane of the Gaussian that makes a pixel half opaque; 0 where none does."""
-    splats, median = drawn.splats, _selection(drawn).median
-    found = planes(*_scene_of(drawn.seen, "median_surface_depth"), splats)
-    rows = jnp.column_stack([splats.means2d, found.disparities, found.slopes])
-    rows = jnp.pad(rows, [(0, 1), (0, 0)])  # so that index -1 is no splat
-    mean2d, disparity, slope = jnp.split(rows[median], (2, 3), axis=-1)
-    offset = pixel_centers(splats.width, splats.height, rows.dtype) - mean2d
-    if splats.period is not None:  # the copy on this side of the seam
-        turns = jnp.round(offset[..., 0] / splats.period)
-        offset = offset.at[..., 0].add(-turns * splats.period)
-    disparity = disparity[..., 0] + jnp.sum(slope * offset, axis=-1)
-    met = disparity > 0
-    return jnp.where(met, 1 / jnp.where(met, disparity, 1), 0)
-
-
-def normals(drawn: Drawn) -> Float[Array, "h w 3"]:
-    """Returns the mean of the shortest axes at each pixel, as a unit vector; 0 where there is none."""
-    assert drawn.sums is not None
-    return unit(drawn.sums)
 
 
 def distances(seen: Seen) -> Float[Array, "n 1"]:
@@ -180,7 +96,7 @@ def distances(seen: Seen) -> Float[Array, "n 1"]:
     Raises:
         ValueError: if there are only splats, which do not have them.
     """
-    gaussians, camera = _scene_of(seen, "distance")
+    gaussians, camera = scene_of(seen, "distance")
     shown = jnp.all(seen.splats.extents > 0, axis=1)
     offset = jnp.where(shown[:, None], gaussians.means - camera.position[None], 0)
     squared = jnp.sum(jnp.square(offset), axis=1)
@@ -208,29 +124,6 @@ def _rgb(drawn: Drawn) -> Float[Array, "h w 3"]:
     return over(drawn.sums, drawn.alpha, drawn.background)
 
 
-def _scene_of(seen: Seen, output: str) -> tuple[Gaussians, Camera]:
-    """Returns the scene and the camera of a view."""
-    if seen.gaussians is None or seen.camera is None:
-        raise ValueError(
-            f"output {output!r} needs the scene and its camera: use render instead of rasterize."
-        )
-    return seen.gaussians, seen.camera
-
-
-def from_middle(splats: Splats, dtype: jnp.dtype) -> Float[Array, "h w 2"]:
-    """Returns the offsets of pixels from the image's middle, to which `surface_channels` refer."""
-    return pixel_centers(splats.width, splats.height, dtype) - _middle(splats)[None, None]
-
-
-def _middle(splats: Splats) -> Float[Array, "2"]:
-    return jnp.array([splats.width / 2, splats.height / 2], splats.means2d.dtype)
-
-
-def _selection(drawn: Drawn) -> Selection:
-    assert drawn.selection is not None
-    return drawn.selection
-
-
 OUTPUTS: dict[str, Output] = {
     "rgb": Output(_rgb, lambda seen: seen.splats.colors),
     "alpha": Output(lambda drawn: drawn.alpha, lambda seen: seen.splats.colors[:, :0]),
@@ -239,7 +132,7 @@ OUTPUTS: dict[str, Output] = {
     "median_depth": Output(median_depth, selected=0),
     "surface_depth": Output(surface_depth, surface_channels),
     "median_surface_depth": Output(median_surface_depth, selected=0),
-    "normals": Output(normals, lambda seen: planes(*_scene_of(seen, "normals"), seen.splats).axes),
+    "normals": Output(normals, normal_channels),
     "parts": Output(lambda drawn: drawn.sums, part_rows),
     "contributors": Output(contributors(8).finish, selected=8),
 }

@@ -18,6 +18,7 @@ from splatax import splats as views
 from splatax.backends.protocol import Kernels, Selection
 from splatax.cameras import Camera
 from splatax.cameras.geometry import rays
+from splatax.drawn import unrolled
 from splatax.footprints import EWA, Method
 from splatax.low_pass import LowPass
 from splatax.outputs import (
@@ -29,7 +30,6 @@ from splatax.outputs import (
     Rendering,
     Seen,
     resolve,
-    unrolled,
 )
 from splatax.scene import Drawable, seen
 from splatax.shapes import check_arrays

@@ -19,16 +19,10 @@ from jaxtyping import Array, Float
 
 from splatax.backends.protocol import Kernels
 from splatax.cameras import Camera
-from splatax.outputs import (
-    Drawn,
-    Output,
-    Seen,
-    from_middle,
-    surface_channels,
-    surface_depth,
-    unrolled,
-)
+from splatax.drawn import Drawn, Seen, unrolled
+from splatax.outputs import Output
 from splatax.stages import composite
+from splatax.surface_outputs import from_middle, surface_channels, surface_depth
 from splatax.surfaces import normals_of, planes
 
 LEAST_VARIANCE = 1e-8  # of relative depth, below which float32 cannot tell it from zero

@@ -6,7 +6,7 @@ a part learns or counts during a run is kept in a state, a pytree of arrays that
 and takes back.
 """
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -15,12 +15,13 @@ import numpy as np
 import optax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
-from splatax.backends.protocol import Photometric
 from splatax.cameras import Camera
 from splatax.dataset import Dataset
 from splatax.gaussians import Gaussians
-from splatax.outputs import Output
 from splatax.splats import Splats
+from splatax.training.objectives import Geometry as Geometry
+from splatax.training.objectives import Loss as Loss
+from splatax.training.objectives import Prior as Prior
 
 
 class Source(NamedTuple):
@@ -76,68 +77,6 @@ class Initialization(Hashable, Protocol):
 
         Raises:
             DatasetError: if the capture lacks what they are made from.
-        """
-        ...
-
-
-@runtime_checkable
-class Loss(Hashable, Protocol):
-    """Compares a rendering with a photo."""
-
-    def __call__(
-        self,
-        image: Float[Array, "h w 3"],
-        photo: Float[Array, "h w 3"],
-        mask: Bool[Array, "h w"] | None,
-        kernel: Photometric,
-    ) -> Float[Array, ""]:
-        """Returns the loss, differentiable in `image`. Runs under `jit`.
-
-        Args:
-            image: the rendering, values around [0, 1].
-            photo: values in [0, 1].
-            mask: true where a pixel counts; None if all do.
-            kernel: the backend's implementation of `splatax.losses.photometric`, for losses that use it.
-        """
-        ...
-
-
-@runtime_checkable
-class Prior(Hashable, Protocol):
-    """Adds a penalty on the Gaussians to the loss."""
-
-    def __call__(self, gaussians: Gaussians, extent: Float[Array, ""]) -> Float[Array, ""]:
-        """Returns the penalty, differentiable in the scene. Runs under `jit`.
-
-        Args:
-            gaussians: the scene; empty slots must get no gradient.
-            extent: of the scene, world units.
-        """
-        ...
-
-
-@runtime_checkable
-class Geometry(Hashable, Protocol):
-    """Adds a penalty on what a training view shows of the scene's geometry to the loss."""
-
-    @property
-    def outputs(self) -> Mapping[str, Output]:
-        """The outputs to draw beside the colours, by name; only those of blended channels.
-
-        It must have equal values for equal settings.
-        """
-        ...
-
-    def __call__(
-        self, images: Mapping[str, Any], camera: Camera, landmarks: Float[Array, "k 3"] | None
-    ) -> Float[Array, ""]:
-        """Returns the penalty, differentiable in the images. Runs under `jit`, and only if there are some.
-
-        Args:
-            images: the outputs by name.
-            camera: of the view.
-            landmarks: world points that the photo shows, with rows of NaN that stand for none; None if the
-                capture knows of none.
         """
         ...
 

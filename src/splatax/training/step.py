@@ -11,8 +11,9 @@ from jax import lax
 from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt8
 
 from splatax import backends
+from splatax.drawn import Seen, unrolled
 from splatax.gaussians import Gaussians
-from splatax.outputs import Seen, over, unrolled
+from splatax.outputs import over
 from splatax.splats import Splats
 from splatax.stages import composite, project
 from splatax.training import geometry, optimizer

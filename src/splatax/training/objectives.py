@@ -1,0 +1,76 @@
+"""The parts of an objective: what a loss, a prior and a regularizer of geometry must do.
+
+`splatax.training.protocols` has them too, with the parts of a recipe.
+"""
+
+from collections.abc import Hashable, Mapping
+from typing import Any, Protocol, runtime_checkable
+
+from jaxtyping import Array, Bool, Float
+
+from splatax.backends.protocol import Photometric
+from splatax.cameras import Camera
+from splatax.gaussians import Gaussians
+from splatax.outputs import Output
+
+
+@runtime_checkable
+class Loss(Hashable, Protocol):
+    """Compares a rendering with a photo."""
+
+    def __call__(
+        self,
+        image: Float[Array, "h w 3"],
+        photo: Float[Array, "h w 3"],
+        mask: Bool[Array, "h w"] | None,
+        kernel: Photometric,
+    ) -> Float[Array, ""]:
+        """Returns the loss, differentiable in `image`. Runs under `jit`.
+
+        Args:
+            image: the rendering, values around [0, 1].
+            photo: values in [0, 1].
+            mask: true where a pixel counts; None if all do.
+            kernel: the backend's implementation of `splatax.losses.photometric`, for losses that use it.
+        """
+        ...
+
+
+@runtime_checkable
+class Prior(Hashable, Protocol):
+    """Adds a penalty on the Gaussians to the loss."""
+
+    def __call__(self, gaussians: Gaussians, extent: Float[Array, ""]) -> Float[Array, ""]:
+        """Returns the penalty, differentiable in the scene. Runs under `jit`.
+
+        Args:
+            gaussians: the scene; empty slots must get no gradient.
+            extent: of the scene, world units.
+        """
+        ...
+
+
+@runtime_checkable
+class Geometry(Hashable, Protocol):
+    """Adds a penalty on what a training view shows of the scene's geometry to the loss."""
+
+    @property
+    def outputs(self) -> Mapping[str, Output]:
+        """The outputs to draw beside the colours, by name; only those of blended channels.
+
+        It must have equal values for equal settings.
+        """
+        ...
+
+    def __call__(
+        self, images: Mapping[str, Any], camera: Camera, landmarks: Float[Array, "k 3"] | None
+    ) -> Float[Array, ""]:
+        """Returns the penalty, differentiable in the images. Runs under `jit`, and only if there are some.
+
+        Args:
+            images: the outputs by name.
+            camera: of the view.
+            landmarks: world points that the photo shows, with rows of NaN that stand for none; None if the
+                capture knows of none.
+        """
+        ...

@@ -82,7 +82,7 @@ def test_the_penalty_has_the_gradient_of_finite_differences(x64):
     @jax.jit
     def penalty(gaussians):
         drawn = sx.render(gaussians, camera, outputs=SURFACES.outputs, backend="xla")
-        return SURFACES(drawn.images, camera, landmarks)
+        return SURFACES(drawn.images, camera, landmarks, jnp.zeros(()))
 
     gradient = jax.jit(jax.grad(penalty))(gaussians)
     rng = np.random.default_rng(1)
@@ -106,7 +106,7 @@ def test_a_step_adds_the_penalty_and_its_gradient_to_those_of_the_photo():
 
     def penalty(gaussians):
         drawn = sx.render(gaussians, camera, outputs=SURFACES.outputs, low_pass=recipe.low_pass)
-        return SURFACES(drawn.images, camera, landmarks)
+        return SURFACES(drawn.images, camera, landmarks, jnp.zeros(()))
 
     def step(geometry):
         chosen = replace(recipe, objective=replace(recipe.objective, geometry=geometry))

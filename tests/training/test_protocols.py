@@ -138,7 +138,7 @@ class Near:
     def outputs(self):
         return {"distance": sx.outputs.OUTPUTS["distance"]}
 
-    def __call__(self, images, camera, landmarks):
+    def __call__(self, images, camera, landmarks, progress):
         return 0.1 * jnp.mean(jnp.square(images["distance"] - 4))
 
 

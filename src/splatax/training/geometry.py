@@ -24,6 +24,7 @@ from splatax.outputs import Output
 from splatax.stages import composite
 from splatax.surface_outputs import from_middle, surface_channels, surface_depth
 from splatax.surfaces import normals_of, planes
+from splatax.training import per_photo
 
 LEAST_VARIANCE = 1e-8  # of relative depth, below which float32 cannot tell it from zero
 
@@ -38,7 +39,11 @@ class NoGeometry:
         return {}
 
     def __call__(
-        self, images: Mapping[str, Any], camera: Camera, landmarks: Float[Array, "k 3"] | None
+        self,
+        images: Mapping[str, Any],
+        camera: Camera,
+        landmarks: Float[Array, "k 3"] | None,
+        progress: Float[Array, ""],
     ) -> Float[Array, ""]:
         """Returns zero."""
         return jnp.zeros(())
@@ -53,11 +58,13 @@ class Surfaces:
         consistency: weight of 1 minus the cosine between the Gaussians' normals and that of the depth image
             (Huang et al. 2024, Eq. 14).
         points: weight of the relative depth error at landmarks.
+        final: factor of all weights at the end of the run, from 1 at its start; log-linear between.
     """
 
     spread: float = 0.1
     consistency: float = 0.0
     points: float = 0.2
+    final: float = 0.1
 
     @property
     def outputs(self) -> Mapping[str, Output]:
@@ -70,7 +77,11 @@ class Surfaces:
         return needed
 
     def __call__(
-        self, images: Mapping[str, Any], camera: Camera, landmarks: Float[Array, "k 3"] | None
+        self,
+        images: Mapping[str, Any],
+        camera: Camera,
+        landmarks: Float[Array, "k 3"] | None,
+        progress: Float[Array, ""],
     ) -> Float[Array, ""]:
         """Returns the sum of the penalties; see `splatax.training.protocols.Geometry`."""
         depth, spread = images["layers"]
@@ -79,7 +90,7 @@ class Surfaces:
             penalty += self.consistency * inconsistency(images["facing"], depth, camera)
         if self.points and landmarks is not None:
             penalty += self.points * error_at(landmarks, depth, camera)
-        return penalty
+        return penalty * per_photo.log_linear(1.0, self.final, progress)
 
 
 def inconsistency(

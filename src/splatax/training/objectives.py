@@ -63,7 +63,11 @@ class Geometry(Hashable, Protocol):
         ...
 
     def __call__(
-        self, images: Mapping[str, Any], camera: Camera, landmarks: Float[Array, "k 3"] | None
+        self,
+        images: Mapping[str, Any],
+        camera: Camera,
+        landmarks: Float[Array, "k 3"] | None,
+        progress: Float[Array, ""],
     ) -> Float[Array, ""]:
         """Returns the penalty, differentiable in the images. Runs under `jit`, and only if there are some.
 
@@ -72,5 +76,6 @@ class Geometry(Hashable, Protocol):
             camera: of the view.
             landmarks: world points that the photo shows, with rows of NaN that stand for none; None if the
                 capture knows of none.
+            progress: fraction of the run that is done, 0 to 1.
         """
         ...

@@ -137,7 +137,7 @@ def compare(
         # Drawn apart, so that `pull` tells what the photo misses, and kernels need not know it of so many.
         seen = unrolled(Seen(replace(splats, pull=None), None, camera))
         images = geometry.drawn(objective.geometry.outputs, channels, seen, kernels)
-        return loss + objective.geometry(images, camera, batch.landmarks)
+        return loss + objective.geometry(images, camera, batch.landmarks, state.step / state.total)
 
     # The filter keeps its size in pixels of the full photo, so that smaller photos do not blur the scene.
     low_pass = replace(recipe.low_pass, variance=recipe.low_pass.variance / batch.divisor**2)

@@ -15,7 +15,7 @@ LAYERS = (  # lowest first; a package stands for all its modules
     {"backends"},
     {"drawn", "surface_outputs", "outputs", "stages", "rendering", "trajectories"},
     {"training", "evaluation", "editing"},
-    {"demo", "bench", "reconstruction", "notebook", "web"},
+    {"demo", "bench", "reconstruction", "mesh", "notebook", "web"},
     {"runs"},
     {"inspection"},
     {"report"},
@@ -28,7 +28,7 @@ NEVER = {
     ("io", "projection"),
     ("editing", "io"),
 }  # in reach, but not theirs
-OPTIONAL = {"beartype", "hypothesis", "playwright", "pytest", "skimage"}  # not installed with the product
+OPTIONAL = {"beartype", "hypothesis", "playwright", "pytest"}  # not installed with the product
 
 
 def modules():

@@ -54,6 +54,7 @@ SUBMODULES = {  # public name -> module here
     "inspection": "inspection",
     "losses": "losses",
     "lpips": "lpips",
+    "mesh": "mesh",
     "metrics": "metrics",
     "outputs": "outputs",
     "recipes": "training.recipes",
@@ -73,6 +74,7 @@ if TYPE_CHECKING:  # the same names, for type checkers and editors; tests/test_i
     from splatax import inspection as inspection
     from splatax import losses as losses
     from splatax import lpips as lpips
+    from splatax import mesh as mesh
     from splatax import metrics as metrics
     from splatax import outputs as outputs
     from splatax import reconstruction as reconstruction

@@ -5,7 +5,11 @@ from contextlib import contextmanager
 
 from splatax.errors import InputError
 
-NAMES = {"PIL": "pillow"}  # module -> the package that brings it, where their names differ
+NAMES = {  # module -> the package that brings it, where their names differ
+    "PIL": "pillow",
+    "fast_simplification": "fast-simplification",
+    "skimage": "scikit-image",
+}
 
 
 class MissingPackageError(InputError, ImportError):

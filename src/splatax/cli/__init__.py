@@ -21,6 +21,7 @@ from splatax.cli.export import Export
 from splatax.cli.failures import advice
 from splatax.cli.inspect import Inspect
 from splatax.cli.interruption import STOPPED
+from splatax.cli.mesh import Mesh
 from splatax.cli.output import complain, guarded, say
 from splatax.cli.page import Page
 from splatax.cli.platform import keep_compiled_programs, keep_freed_memory
@@ -41,6 +42,7 @@ COMMANDS = {
     "view": View,
     "compare": Compare,
     "export": Export,
+    "mesh": Mesh,
     "page": Page,
     "compose": Compose,
     "demo": Demo,

@@ -17,6 +17,22 @@ Mask = Bool[np.ndarray, "_ _"]
 
 
 @dataclass(frozen=True)
+class TrueGeometry:
+    """True surfaces that a view sees, to evaluate a scene with; nothing is trained on them.
+
+    The maps have the proportions of the photo, and may have another size.
+
+    Attributes:
+        depth: by the camera's lens, world units; 0 where it is unknown or there is no surface.
+        normals: unit normals in the world, towards the camera; 0 where they are unknown. None if they are
+            unknown everywhere.
+    """
+
+    depth: Float[np.ndarray, "_ _"]
+    normals: Float[np.ndarray, "_ _ 3"] | None = None
+
+
+@dataclass(frozen=True)
 class View:
     """Photo and its camera.
 
@@ -28,6 +44,7 @@ class View:
             all pixels count.
         landmarks: function that returns world points on the surfaces that the photo shows, such as those of
             structure from motion or of a depth map; None if none are known.
+        truth: function that returns the true geometry; None if it is not known.
     """
 
     name: str
@@ -35,6 +52,7 @@ class View:
     pixels: Callable[[], Pixels]
     mask: Callable[[], Mask] | None = None
     landmarks: Callable[[], Float[np.ndarray, "_ 3"]] | None = None
+    truth: Callable[[], TrueGeometry] | None = None
 
 
 def mask_of(view: View) -> Mask | None:

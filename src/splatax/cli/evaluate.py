@@ -24,6 +24,7 @@ from splatax.cli.options import (
 )
 from splatax.cli.output import cell, say, show
 from splatax.errors import InputError
+from splatax.geometry_scores import GeometryScores, as_json, evaluate_geometry
 from splatax.runs.records import write_json
 from splatax.runs.results import measures_of, protocol, scores_as_json
 
@@ -33,11 +34,12 @@ DECIMALS = {"psnr": 3, "ssim": 4, "corrected_psnr": 3, "lpips": 4}
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Score a scene on held-out photos of its capture: PSNR, SSIM, LPIPS.
+    """Score a scene on held-out photos of its capture: PSNR, SSIM, LPIPS, and errors of depth and normals.
 
     Scores are of 8-bit images; masked pixels do not count. PSNR is also given after an affine color
-    correction, to compensate for exposure and white-balance differences. Size, background and low-pass
-    default to the settings of the run.
+    correction, to compensate for exposure and white-balance differences. Depth and normals are compared with
+    the true ones in CAPTURE/truth; without these, depth is compared with the points of structure from motion
+    that the photos observe. Size, background and low-pass default to the settings of the run.
     """
 
     model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")]
@@ -69,20 +71,23 @@ class Evaluate:
         dataset = load_scene(self.scene, self.downscale, model, self.hold_out)
         background = background_of(model.options, self.background)
         views = views_of(dataset, self.split, self.scene)
-        scores = sx.evaluate(
-            model.gaussians,
-            views,
-            renderer=sx.Renderer(background, backend=resolve_backend(self.backend)),
-            lpips=perceptual,
-        )
+        renderer = sx.Renderer(background, backend=resolve_backend(self.backend))
+        scores = sx.evaluate(model.gaussians, views, renderer=renderer, lpips=perceptual)
+        geometry = evaluate_geometry(model.gaussians, views, renderer=renderer)
         how = protocol(background, dataset) | ({"lpips": perceptual.protocol} if perceptual else {})
         show(table_of(scores))
         say(f"worst   {scores.worst.name}, {scores.worst.psnr:.3f} dB")
         masked = sum(view.mask is not None for view in views)
         for name in [*measures_of(scores), *(["masks"] if masked else [])]:
             show(cell(f"{LABELS.get(name, name)}: {how[name]}", "dim"))
+        if geometry:
+            for line in words_of(geometry):
+                say(line)
+            for kind, text in as_json(geometry)["protocol"].items():
+                show(cell(f"{kind}: {text}", "dim"))
         out = self.out or model.path.parent / "eval.json"
         contents = {"model": model.path, "scene": self.scene, "split": self.split, "protocol": how}
+        contents["geometry"] = as_json(geometry) if geometry else None
         write_json(out, contents | scores_as_json(scores))
         say(f"scores  {out}")
 
@@ -100,6 +105,19 @@ def table_of(scores: sx.Scores) -> Table:
     table.add_section()
     add("mean", measured)
     return table
+
+
+def words_of(scores: GeometryScores) -> list[str]:
+    """Returns the mean errors of geometry in words, one line for each kind."""
+    mean = scores.mean
+    source = "the truth" if scores.reference == "truth" else "points of structure from motion"
+    lines = [
+        f"depth   {mean.depth:.4g} off {source} ({100 * mean.relative:.2g} %), bias {mean.bias:+.2g}, "
+        f"{100 * mean.coverage:.0f} % covered"
+    ]
+    if mean.normals is not None:
+        lines.append(f"normals {mean.normals:.1f} degrees off {source}")
+    return lines
 
 
 def views_of(dataset: sx.Dataset, split: str, scene: Path) -> tuple[sx.View, ...]:

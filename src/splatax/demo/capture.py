@@ -8,23 +8,39 @@ import numpy as np
 import pycolmap
 
 from splatax.cameras import Camera
-from splatax.demo.dataset import HELD_OUT, surface_points
+from splatax.demo.dataset import HELD_OUT, surface_points, true_geometry
 from splatax.demo.raycast import photograph, visible
 from splatax.demo.scene import Scene
 from splatax.demo.scenes.still_life import STILL_LIFE
 from splatax.io import images
-from splatax.io.datasets import TEST_LIST
+from splatax.io.datasets import TEST_LIST, truth
+from splatax.io.files import replacing
 
 
 def write_capture(folder: Path, scene: Scene = STILL_LIFE) -> None:
-    """Writes photos to FOLDER/images, a model to FOLDER/sparse/0, and FOLDER/test.txt."""
+    """Writes photos to FOLDER/images, a model to FOLDER/sparse/0, and FOLDER/test.txt.
+
+    Exact depth and normals are written to FOLDER/truth, where `splatax.io.datasets.truth` reads them.
+    """
     (folder / "images").mkdir(parents=True, exist_ok=True)
     (folder / "sparse" / "0").mkdir(parents=True, exist_ok=True)
     views = {f"view{i:02}.png": camera for i, camera in enumerate(scene.cameras())}
     for name, camera in views.items():
         images.write(folder / "images" / name, np.asarray(photograph(camera, scene)))
+        write_truth(folder / truth.FOLDER, Path(name).with_suffix(".npy"), camera, scene)
     model_of(views, scene).write_binary(folder / "sparse" / "0")
     (folder / TEST_LIST).write_text("".join(f"{name}\n" for name in HELD_OUT.of(list(views))))
+
+
+def write_truth(folder: Path, name: Path, camera: Camera, scene: Scene) -> None:
+    """Writes the exact depth and normals of a view."""
+    exact = true_geometry(camera, scene)
+    assert exact.normals is not None
+    # Half precision turns a normal by 0.02 degrees.
+    for kind, values in (("depth", exact.depth), ("normals", exact.normals.astype(np.float16))):
+        (folder / kind).mkdir(parents=True, exist_ok=True)
+        with replacing(folder / kind / name) as file:
+            np.lib.format.write_array(file, values, allow_pickle=False)
 
 
 def model_of(views: dict[str, Camera], scene: Scene) -> pycolmap.Reconstruction:

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from splatax.cameras import Camera
-from splatax.dataset import Dataset, Pixels, PointCloud, View, hold_out
-from splatax.demo.raycast import look, photograph, visible
+from splatax.dataset import Dataset, Pixels, PointCloud, TrueGeometry, View, hold_out
+from splatax.demo.raycast import look, photograph, truth, visible
 from splatax.demo.scene import SIZE, Scene
 from splatax.demo.scenes import DEFAULT, scene_named
 from splatax.splits import Every, Nothing
@@ -45,6 +45,7 @@ def demo_dataset(
             camera,
             cache(partial(_pixels, camera, drawn)),
             landmarks=partial(_landmarks, camera, positions, drawn),
+            truth=partial(true_geometry, camera, drawn),
         )
         for i, camera in enumerate(cameras)
     ]
@@ -71,6 +72,13 @@ def _landmarks(camera: Camera, positions: np.ndarray, scene: Scene) -> np.ndarra
     """Returns the points that nothing hides from a camera; some of them lie beside the image."""
     points = positions.astype(np.float32)
     return points[np.asarray(visible(camera, jnp.asarray(points), scene))]
+
+
+def true_geometry(camera: Camera, scene: Scene) -> TrueGeometry:
+    """Returns exact depth and normals at the centre of each pixel; 0 without a surface."""
+    exact = truth(camera, scene)
+    depth = np.asarray(exact.depth)
+    return TrueGeometry(np.where(np.isfinite(depth), depth, 0), np.asarray(exact.normals))
 
 
 def _pixels(camera: Camera, scene: Scene) -> Pixels:

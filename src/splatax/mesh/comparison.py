@@ -9,9 +9,9 @@ from scipy.spatial import cKDTree
 
 from splatax.cameras import Camera
 from splatax.mesh.record import Mesh
-from splatax.mesh.views import normals_of, points_of
+from splatax.surfaces import normals_of, positions_of
 
-POINTS = 200_000  # of the mesh, at which its distance from the truth is measured
+POINTS = 50_000  # of the mesh, at which its distance from the truth is measured
 MOST_POINTS = 4_000_000  # of the mesh, near which the truth is searched
 NEIGHBOURS = 4
 SMOOTH = 3.0  # times the pixel's width: neighbours farther away are on another surface
@@ -64,14 +64,15 @@ def samples_of(
     parts = []
     for camera, depth in truths:
         known = np.where(np.isfinite(depth), depth, 0).astype(np.float32)
-        points, normals = (np.asarray(f(camera, known), np.float64) for f in (points_of, normals_of))
+        points, normals = (np.asarray(f(camera, known), np.float64) for f in (positions_of, normals_of))
+        points[known == 0] = np.nan
         radii = np.full(depth.shape, np.nan)
         steps = [np.linalg.norm(points[1:-1, 2:] - points[1:-1, :-2], axis=-1) / 2]
         steps += [np.linalg.norm(points[2:, 1:-1] - points[:-2, 1:-1], axis=-1) / 2]
         radii[1:-1, 1:-1] = np.maximum(*steps)
         pixel = np.nanmedian(np.minimum(*steps)) if np.isfinite(steps).any() else 0.0
         # Differences across an edge of a surface give neither its normal nor its radius.
-        kept = np.isfinite(normals).all(axis=-1) & (radii < SMOOTH * max(pixel, 1e-30))
+        kept = (normals != 0).any(axis=-1) & (radii < SMOOTH * max(pixel, 1e-30))
         parts.append(np.column_stack([points[kept], normals[kept], radii[kept]]))
     rows = np.concatenate([*parts, np.zeros((0, 7))])
     if spacing is not None:

@@ -1,4 +1,4 @@
-"""From views of a scene to its mesh."""
+"""Meshes from the views of a scene: all steps, one after the other."""
 
 from collections.abc import Sequence
 

@@ -9,10 +9,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from splatax.cameras import Camera
-from splatax.cameras.geometry import seen_at
+from splatax.cameras.geometry import rays, seen_at
 from splatax.io.memory import machine_memory
-from splatax.mesh.views import DepthView, Watch, jumps_of, normals_of, points_of, sampled, unwatched
+from splatax.mesh.views import DepthView, Watch, jumps_of, row_major, sampled, unwatched
 from splatax.mesh.volume import SIDE, VOXELS, Volume, blocks_around, coordinates_of, empty_volume
+from splatax.surfaces import normals_of, positions_of
 
 BATCH = 256  # blocks that are computed at a time
 LEAST_COSINE = 0.1  # of the angle at which a surface is seen: more slanted pixels count like this
@@ -50,8 +51,8 @@ def fuse(views: Sequence[DepthView], settings: Fusion, watch: Watch = unwatched)
     memory = machine_memory() // MEMORY_SHARE if settings.memory is None else settings.memory
     keys = np.zeros(0, np.int64)
     for view in watch(views, "finding surfaces"):
-        points = np.asarray(points_of(view.camera, view.read().depth), np.float64).reshape(-1, 3)
-        seen = points[np.isfinite(points).all(axis=1)]
+        depth = view.read().depth
+        seen = np.asarray(positions_of(view.camera, depth), np.float64)[depth > 0]
         keys = np.union1d(keys, blocks_around(one_a_voxel(seen, settings.voxel), settings.voxel))
     volume = empty_volume(settings.voxel, keys, memory)
     for view in watch(views, "fusing depth"):
@@ -108,11 +109,8 @@ def slants(camera: Camera, depth: Float[Array, "h w"]) -> Float[Array, "h w"]:
 
     It is 1 where the normal is unknown or depth jumps, and at least `LEAST_COSINE`.
     """
-    normals, points = normals_of(camera, depth), points_of(camera, depth)
-    near = points_of(camera, jnp.where(depth > 0, depth * 0.5, 0))
-    rays = (points - near) / jnp.linalg.norm(points - near, axis=-1, keepdims=True)
-    cosines = jnp.abs(jnp.sum(normals * rays, axis=-1))
-    return jnp.where(jnp.isfinite(cosines) & ~jumps_of(depth), jnp.clip(cosines, LEAST_COSINE, 1), 1)
+    cosines = jnp.abs(jnp.sum(normals_of(camera, depth) * rays(camera), axis=-1))
+    return jnp.where((cosines > 0) & ~jumps_of(depth), jnp.clip(cosines, LEAST_COSINE, 1), 1)
 
 
 @jax.jit
@@ -136,9 +134,8 @@ def _seen(
 
     pixels, along, stretch = jax.vmap(place_of)(points)
     surface = sampled(depth, pixels)
-    x = jnp.clip(pixels[:, 0].astype(jnp.int32), 0, camera.width - 1)
-    y = jnp.clip(pixels[:, 1].astype(jnp.int32), 0, camera.height - 1)
-    cosine = cosines.ravel()[y * camera.width + x]
+    x, y = jnp.clip(pixels[:, 0], 0, camera.width - 1), jnp.clip(pixels[:, 1], 0, camera.height - 1)
+    cosine = cosines.ravel()[row_major(x, y, camera.width)]
     before = (surface - along) * stretch / truncation  # along the ray
     distance = before * cosine
     seen = (surface > 0) & (distance > -1) & (before > -MOST_BEHIND)

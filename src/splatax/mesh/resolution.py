@@ -18,7 +18,7 @@ HIDDEN = 0.1  # of the depth: views that differ by more see different surfaces
 
 @dataclass(frozen=True)
 class Resolution:
-    """How fine the depth of a set of views is.
+    """Fineness of the depth of a set of views.
 
     Attributes:
         pixel: median width of a pixel on the surface that it sees, world units.
@@ -71,7 +71,7 @@ def resolution_of(views: Sequence[DepthView]) -> Resolution:
 
 
 def _differences(view: DepthView, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " k"]:
-    """Returns by how much the depth of a view differs from that of points, for those that it sees."""
+    """Returns the differences between the depth of a view and that of points, for those that it sees."""
     pixels, depths = seen_at(view.camera, points)
     found = np.asarray(sampled(view.read().depth, np.nan_to_num(pixels, nan=-1.0).astype(np.float32)))
     difference = found - depths

@@ -34,7 +34,7 @@ def surface_of(volume: Volume, least_views: int = 1, watch: Watch = unwatched) -
     # A cell on the border between chunks is that of the lower one, which may have no block.
     below = volume.coordinates[:, None] - np.array(list(np.ndindex(2, 2, 2)))
     chunks = np.unique(below.reshape(-1, 3) // CHUNK, axis=0)
-    for chunk in watch(chunks, "extracting the surface"):
+    for chunk in watch(list(chunks), "extracting the surface"):
         found = triangles_of(*dense(volume, chunk, least_views))
         if found is None:
             continue
@@ -92,7 +92,7 @@ def dense(
     rows = volume.rows_of(blocks)
     shape = (across, across, across, SIDE, SIDE, SIDE)
 
-    def grid(values: np.ndarray, missing: float) -> np.ndarray:
+    def grid(values: np.ndarray, missing: float | int) -> np.ndarray:
         chosen = np.full((len(rows), values.shape[1]), missing, values.dtype)
         chosen[rows >= 0] = values[rows[rows >= 0]]
         side = CHUNK * SIDE + 1

@@ -1,4 +1,4 @@
-"""What cameras see of a scene: depth and colour of each pixel, rendered when they are needed."""
+"""Views of a scene: the depth and colour that cameras see, rendered when they are needed."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -8,15 +8,14 @@ from typing import NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
+from splatax.geometry_scores import DEPTH, HALF
 from splatax.rendering import Renderer
 
-DEPTH = "median_depth"  # output that meshes are made from
 JUMP = 0.01  # second difference of the reciprocal depth, as a fraction of it, between surfaces
-HALF = 0.5  # least alpha of a pixel whose depth is used
 Item = TypeVar("Item")
 Watch = Callable[[Sequence[Item], str], Iterable[Item]]  # such as `rich.progress.track`
 
@@ -84,39 +83,6 @@ def unwatched(items: Sequence[Item], activity: str) -> Iterable[Item]:
 
 
 @jax.jit
-def points_of(camera: Camera, depth: Float[Array, "h w"]) -> Float[Array, "h w 3"]:
-    """Returns the world point that is seen at the centre of each pixel; NaN where there is no depth."""
-    x, y = (jnp.arange(side, dtype=depth.dtype) + 0.5 for side in (camera.width, camera.height))
-
-    def one(pixel: Float[Array, "2"], value: Float[Array, ""]) -> Float[Array, "3"]:
-        here = camera
-        if camera.motion is not None:
-            here = camera.at(camera.motion.time(pixel, camera.width, camera.height))
-        local = here.to_point(pixel, value)
-        point = here.rotation.T @ (local - here.translation)
-        return jnp.where(value > 0, point, jnp.nan)
-
-    return jax.vmap(jax.vmap(one))(jnp.stack(jnp.meshgrid(x, y), axis=-1), depth)
-
-
-@jax.jit
-def normals_of(camera: Camera, depth: Float[Array, "h w"]) -> Float[Array, "h w 3"]:
-    """Returns unit normals of a depth map, in the world and towards the camera.
-
-    They are at right angles to the differences between the points of the pixels on both sides. They are NaN
-    at the border of the image, and where a pixel on one side has no depth.
-    """
-    points = points_of(camera, depth)
-    across = points[1:-1, 2:] - points[1:-1, :-2]
-    down = points[2:, 1:-1] - points[:-2, 1:-1]
-    cross = jnp.cross(across, down)
-    normals = cross / jnp.linalg.norm(cross, axis=-1, keepdims=True)
-    rays = points[1:-1, 1:-1] - camera.position
-    normals = jnp.where(jnp.sum(normals * rays, axis=-1, keepdims=True) > 0, -normals, normals)
-    return jnp.pad(normals, ((1, 1), (1, 1), (0, 0)), constant_values=jnp.nan)
-
-
-@jax.jit
 def jumps_of(depth: Float[Array, "h w"]) -> Bool[Array, "h w"]:
     """Returns where depth jumps, from one surface to another or to none.
 
@@ -140,15 +106,20 @@ def sampled(depth: Float[Array, "h w"], pixels: Float[Array, "n 2"]) -> Float[Ar
     the depth of the nearest pixel is taken.
     """
     height, width = depth.shape
-    inside = jnp.all((pixels >= 0) & (pixels < jnp.array([width, height], pixels.dtype)), axis=1)
+    inside = jnp.all((pixels >= 0) & (pixels < jnp.array([[width, height]], pixels.dtype)), axis=1)
     x, y = (jnp.where(inside, pixels[:, i], 0) for i in range(2))
-    left, top = (jnp.floor(place - 0.5).astype(jnp.int32) for place in (x, y))
-    right_share, bottom_share = x - 0.5 - left, y - 0.5 - top
+    left, top = jnp.floor(x - 0.5), jnp.floor(y - 0.5)
+    to_right, to_bottom = x - 0.5 - left, y - 0.5 - top
     smooth_nearness = jnp.where(jumps_of(depth), jnp.nan, 1 / depth).ravel()
     mean = jnp.zeros_like(x)
-    for column, across in ((left, 1 - right_share), (left + 1, right_share)):
-        for row, along in ((top, 1 - bottom_share), (top + 1, bottom_share)):
-            at = jnp.clip(row, 0, height - 1) * width + jnp.clip(column, 0, width - 1)
+    for column, across in ((left, 1 - to_right), (left + 1, to_right)):
+        for row, along in ((top, 1 - to_bottom), (top + 1, to_bottom)):
+            at = row_major(jnp.clip(column, 0, width - 1), jnp.clip(row, 0, height - 1), width)
             mean += across * along * smooth_nearness[at]
-    nearest = depth.ravel()[y.astype(jnp.int32) * width + x.astype(jnp.int32)]
+    nearest = depth.ravel()[row_major(x, y, width)]
     return jnp.where(inside, jnp.where(jnp.isnan(mean), nearest, 1 / mean), 0)
+
+
+def row_major(x: Float[Array, " n"], y: Float[Array, " n"], width: int) -> Int[Array, " n"]:
+    """Returns the numbers of the pixels at coordinates, row by row."""
+    return y.astype(jnp.int32) * width + x.astype(jnp.int32)

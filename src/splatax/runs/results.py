@@ -14,6 +14,8 @@ from splatax.dataset import Dataset, Mask, View, mask_of
 from splatax.errors import InputError
 from splatax.evaluation import PROTOCOL, Scores, ViewScore, photo_of, picture, score
 from splatax.gaussians import Gaussians
+from splatax.geometry_scores import as_json as as_json_of_geometry
+from splatax.geometry_scores import evaluate_geometry
 from splatax.io import formats
 from splatax.io.datasets import colmap_writing
 from splatax.io.files import explained, write_whole
@@ -104,7 +106,7 @@ class Results:
         test = Scores(tuple(comparison.score for comparison in comparisons)) if self.dataset.test else None
         if test:
             self.history.evaluations.append(Evaluation(self.history.steps, self.history.train_seconds, test))
-        write_json(self.out / "metrics.json", self.metrics(test))
+        write_json(self.out / "metrics.json", self.metrics(test) | {"geometry": self.geometry()})
         write_json(self.out / "config.json", self.repeatable())
         for name, contents in present(self, comparisons).items():
             write_whole(self.out / name, contents)
@@ -131,6 +133,11 @@ class Results:
             "protocol": protocol(self.recipe.background.rgb, self.dataset)
             | {"train_seconds": "wall time of all steps, compilation included, evaluation and pictures not"},
         }
+
+    def geometry(self) -> dict[str, Any] | None:
+        """Returns the errors of depth and normals in the held-out views; None if there is no reference."""
+        scores = evaluate_geometry(self.gaussians, self.dataset.test, renderer=self.recipe.renderer)
+        return as_json_of_geometry(scores) if scores else None
 
     def repeatable(self) -> dict[str, Any]:
         """Returns everything that is needed to repeat the run, for config.json."""

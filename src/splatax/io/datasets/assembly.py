@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from splatax.dataset import Dataset, PointCloud, View
 from splatax.errors import DatasetError
-from splatax.io.datasets import depths, masks, photos
+from splatax.io.datasets import depths, masks, photos, truth
 from splatax.io.datasets.capture import Capture, Frame
 from splatax.io.datasets.undistortion import is_pinhole
 
@@ -52,6 +52,7 @@ def dataset_of(capture: Capture, downscale: int | None, undistort: bool) -> Data
         )
         for source in sources
     ]
+    views, known = with_truth(capture, views, sources, undistort)
     train, test = (tuple(views), ()) if capture.held_out is None else parted(capture, views, named)
     points = capture.points
     measured: tuple[str, ...] = ()
@@ -67,6 +68,7 @@ def dataset_of(capture: Capture, downscale: int | None, undistort: bool) -> Data
         f"{f'{len(points):,}' if len(points) else 'no'} points; photos {photos.sizes_of(views)} "
         f"from {folder.name}/{photos.scaling(factor)}",
         *measured,
+        *known,
         *moved,
         *photos.limited(sources),
     ]
@@ -119,6 +121,26 @@ def parted_by_presence(capture: Capture) -> tuple[list[Frame], list[Frame]]:
             f"{missing[0].path}. Put them where the file says."
         )
     return present, missing
+
+
+def with_truth(
+    capture: Capture, views: list[View], sources: list[photos.Source], undistort: bool
+) -> tuple[list[View], tuple[str, ...]]:
+    """Returns views with their true geometry, and a note if there is any.
+
+    Views of undistorted photos have none, because its pixels are those of the photo as it is.
+
+    Raises:
+        DatasetError: if there is true geometry, but of no photo.
+    """
+    found = truth.truths_of(capture.home, [view.name for view in views])
+    bent = {s.name for s in sources if not is_pinhole(s.camera) and (undistort or not s.known)}
+    usable = {name: files for name, files in found.items() if name not in bent}
+    notes = [f"true depth of {photos.counted(len(usable))}, for evaluation"] if usable else []
+    if unusable := len(found) - len(usable):
+        notes.append(f"true depth of {photos.counted(unusable)} is not used, because they are undistorted")
+    known = [replace(v, truth=usable[v.name].read) if v.name in usable else v for v in views]
+    return known, tuple(notes)
 
 
 def absent(missing: list[Frame], total: int) -> Iterable[str]:

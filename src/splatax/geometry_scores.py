@@ -1,8 +1,8 @@
 """Errors of rendered depth and normals, compared with the truth or with landmarks of the photos."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -13,9 +13,12 @@ from splatax.errors import DatasetError
 from splatax.gaussians import Gaussians
 from splatax.rendering import Renderer
 
-DEPTH = "median_depth"  # output that is compared, and that meshes are made from
+DEPTHS = ("median_depth", "surface_depth", "median_surface_depth")  # outputs that are compared
+DEPTH = DEPTHS[0]  # which meshes are made from if nothing tells which is best
 NORMALS = "normals"
+ENOUGH = 8  # views from which the best depth is chosen
 HALF = 0.5  # least alpha of a pixel whose depth counts
+DEPTH_MEASURES = ("error", "bias", "relative_error")  # names of the fields of `DepthError` in files
 Reference = Literal["truth", "points"]
 PROTOCOL = {  # how errors of geometry are computed, in words
     "truth": "pixels that have a true depth and are at least half opaque in the rendering; medians over the "
@@ -24,10 +27,24 @@ PROTOCOL = {  # how errors of geometry are computed, in words
     "places in the view, if that pixel is at least half opaque in the rendering; these points are sparse, "
     "lie where there is texture, and have errors of their own; medians over the points of each view, then "
     "means over the views",
-    "depth": f"output {DEPTH}, world units along the depth of the lens; the bias is positive where the scene "
-    "is behind the reference",
+    "depth": "by output; world units along the depth of the lens; the bias is positive where the scene is "
+    "behind the reference",
     "normals": f"angle between the output {NORMALS} and the true normal, degrees",
 }
+
+
+class DepthError(NamedTuple):
+    """Errors of one depth output in one view, or means over several; NaN where nothing was compared.
+
+    Attributes:
+        median: median of the absolute error, world units.
+        bias: median of the error, world units; positive where the scene is too far.
+        relative: median of the absolute error divided by the depth.
+    """
+
+    median: float
+    bias: float
+    relative: float
 
 
 @dataclass(frozen=True)
@@ -36,17 +53,13 @@ class GeometryScore:
 
     Attributes:
         name: of the view.
-        depth: median of the absolute error of depth, world units.
-        bias: median of the error of depth, world units; positive where the scene is too far.
-        relative: median of the absolute error of depth divided by the depth.
+        depths: errors of depth by output.
         coverage: fraction of the reference where the scene is at least half opaque.
         normals: median angle between normals, degrees; None if the reference has none.
     """
 
     name: str
-    depth: float
-    bias: float
-    relative: float
+    depths: dict[str, DepthError]
     coverage: float
     normals: float | None = None
 
@@ -66,14 +79,31 @@ class GeometryScores:
     @property
     def mean(self) -> GeometryScore:
         """Means over the views, each over those that have the measure."""
+        depths = {
+            output: DepthError(*(_mean(values) for values in zip(*errors, strict=True)))
+            for output in DEPTHS
+            if (errors := [view.depths[output] for view in self.views])
+        }
+        angles = [view.normals for view in self.views if view.normals is not None]
+        coverage = _mean([view.coverage for view in self.views])
+        return GeometryScore("mean", depths, coverage, _mean(angles) if angles else None)
 
-        def mean(measure: str) -> float:
-            values = [value for view in self.views if (value := getattr(view, measure)) is not None]
-            return float(np.nanmean(values)) if np.isfinite(values).any() else np.nan
+    @property
+    def best(self) -> str:
+        """The output whose depth has the smallest error."""
+        errors = {output: error.median for output, error in self.mean.depths.items()}
+        return min(errors, key=lambda output: np.nan_to_num(errors[output], nan=np.inf))
 
-        normals = mean("normals")
-        measures = (mean(name) for name in ("depth", "bias", "relative", "coverage"))
-        return GeometryScore("mean", *measures, None if np.isnan(normals) else normals)
+
+def best_depth(gaussians: Gaussians, views: Sequence[View], renderer: Renderer = Renderer()) -> str:
+    """Returns the output whose depth agrees best with the landmarks of some views.
+
+    It is "median_depth" if there are no landmarks. Scenes that were trained for photos alone have the best
+    depth in "median_depth"; those that were trained for surfaces have it in the depths of surfaces.
+    """
+    chosen = views[:: -(-len(views) // ENOUGH) or 1]
+    scores = against_landmarks(gaussians, chosen, renderer)
+    return scores.best if scores else DEPTH
 
 
 def evaluate_geometry(
@@ -100,7 +130,14 @@ def evaluate_geometry(
         return GeometryScores(
             "truth", tuple(against_truth(gaussians, view, renderer) for view in chosen if view.truth)
         )
-    landmarks = ((view, view.landmarks()) for view in chosen if view.landmarks)
+    return against_landmarks(gaussians, chosen, renderer)
+
+
+def against_landmarks(
+    gaussians: Gaussians, views: Iterable[View], renderer: Renderer = Renderer()
+) -> GeometryScores | None:
+    """Compares rendered depth with that of the landmarks of views; None if they have none."""
+    landmarks = ((view, view.landmarks()) for view in views if view.landmarks)
     found = [against_points(gaussians, view, points, renderer) for view, points in landmarks if len(points)]
     return GeometryScores("points", tuple(found)) if found else None
 
@@ -125,13 +162,13 @@ def against_truth(gaussians: Gaussians, view: View, renderer: Renderer = Rendere
     depth = truth.depth[rows][:, columns]
     mask = mask_of(view)
     known = (depth > 0) & (True if mask is None else mask)
-    outputs = ("alpha", DEPTH) if truth.normals is None else ("alpha", DEPTH, NORMALS)
-    drawn = renderer(gaussians, camera, outputs=outputs).images
-    seen = known & (np.asarray(drawn["alpha"]) >= HALF) & (np.asarray(drawn[DEPTH]) > 0)
+    outputs = ("alpha", *DEPTHS) if truth.normals is None else ("alpha", *DEPTHS, NORMALS)
+    drawn = {name: np.asarray(image) for name, image in renderer(gaussians, camera, outputs).images.items()}
+    opaque = drawn["alpha"] >= HALF
     normals = None
     if truth.normals is not None:
-        normals = median_angle(np.asarray(drawn[NORMALS]), truth.normals[rows][:, columns], seen)
-    return depth_score(view.name, np.asarray(drawn[DEPTH])[known], depth[known], seen[known], normals)
+        normals = median_angle(drawn[NORMALS], truth.normals[rows][:, columns], known & opaque)
+    return _score(view.name, {name: image[known] for name, image in drawn.items()}, depth[known], normals)
 
 
 def against_points(
@@ -152,29 +189,34 @@ def against_points(
     mask = mask_of(view)
     counted = np.ones(len(x), bool) if mask is None else mask[y, x]
     x, y, depths = x[counted], y[counted], depths[inside][counted]
-    drawn = renderer(gaussians, camera, outputs=("alpha", DEPTH)).images
-    found = np.asarray(drawn[DEPTH])[y, x]
-    return depth_score(view.name, found, depths, (np.asarray(drawn["alpha"])[y, x] >= HALF) & (found > 0))
+    images = renderer(gaussians, camera, ("alpha", *DEPTHS)).images
+    return _score(view.name, {name: np.asarray(image)[y, x] for name, image in images.items()}, depths)
 
 
-def depth_score(
+def _score(
     name: str,
-    found: Float[np.ndarray, " n"],
+    drawn: dict[str, Float[np.ndarray, " n"]],
     expected: Float[np.ndarray, " n"],
-    seen: Bool[np.ndarray, " n"],
     normals: float | None = None,
 ) -> GeometryScore:
-    """Returns the errors of depths, of which those that are not seen count for the coverage alone.
+    opaque = drawn["alpha"] >= HALF
+    depths = {output: depth_error(drawn[output][opaque], expected[opaque]) for output in DEPTHS}
+    return GeometryScore(name, depths, float(opaque.mean()) if len(opaque) else np.nan, normals)
 
-    Errors are NaN if nothing is seen.
-    """
-    coverage = float(seen.mean()) if len(seen) else np.nan
-    error = found[seen].astype(np.float64) - expected[seen]
-    if not len(error):
-        return GeometryScore(name, np.nan, np.nan, np.nan, coverage, normals)
-    relative = np.abs(error) / expected[seen]
-    medians = (float(np.median(values)) for values in (np.abs(error), error, relative))
-    return GeometryScore(name, *medians, coverage, normals)
+
+def depth_error(found: Float[np.ndarray, " n"], expected: Float[np.ndarray, " n"]) -> DepthError:
+    """Returns the errors of depths; those that are 0 were not found and do not count."""
+    known = found > 0
+    if not known.any():
+        return DepthError(np.nan, np.nan, np.nan)
+    error = found[known].astype(np.float64) - expected[known]
+    measures = np.abs(error), error, np.abs(error) / expected[known]
+    return DepthError(*(float(np.median(values)) for values in measures))
+
+
+def _mean(values: Iterable[float]) -> float:
+    finite = [value for value in values if np.isfinite(value)]
+    return float(np.mean(finite)) if finite else np.nan
 
 
 def median_angle(
@@ -189,19 +231,17 @@ def median_angle(
     return float(np.degrees(np.median(angles)))
 
 
-def measures_of(score: GeometryScore) -> dict[str, float | None]:
-    """Returns the measures of a view, or of the means, by name.
-
-    Measures of nothing are None. Normals are there if they were compared.
-    """
-    measures = {
-        "depth_error": score.depth,
-        "depth_bias": score.bias,
-        "relative_depth_error": score.relative,
-        "coverage": score.coverage,
+def measures_of(score: GeometryScore) -> dict[str, Any]:
+    """Returns the measures of a view, or of the means, as JSON values; normals where they were compared."""
+    depths = {
+        output: dict(zip(DEPTH_MEASURES, map(_number, e), strict=True)) for output, e in score.depths.items()
     }
-    known = {name: None if np.isnan(value) else value for name, value in measures.items()}
-    return known if score.normals is None else known | {"normal_error": score.normals}
+    measures = {"depth": depths, "coverage": _number(score.coverage)}
+    return measures if score.normals is None else measures | {"normal_error": score.normals}
+
+
+def _number(value: float) -> float | None:
+    return None if np.isnan(value) else value
 
 
 def as_json(scores: GeometryScores) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import splatax as sx
 from splatax.demo.capture import write_capture
-from splatax.demo.raycast import look
+from splatax.demo.raycast import look, truth
 from splatax.demo.scenes.still_life import STILL_LIFE
 
 
@@ -105,3 +105,14 @@ def test_the_demo_reaches_35_db_on_views_it_has_not_seen(tmp_path):
     assert metrics["gaussians"] > 3_000  # density control has added some
     assert str(tmp_path / "run" / "report.html") in done.stdout
     assert any((tmp_path / "cache" / "splatax" / "xla").iterdir())  # compiled programs are kept
+
+
+def test_the_truth_on_disk_is_that_of_the_ray_caster(capture):
+    view, camera = sx.load_dataset(capture).views[3], STILL_LIFE.cameras()[3]
+    on_disk, exact = view.truth(), truth(camera, STILL_LIFE)
+    known = np.isfinite(exact.depth)
+    assert_allclose(on_disk.depth, np.where(known, exact.depth, 0), rtol=1e-4)
+    cosines = np.sum(on_disk.normals * np.asarray(exact.normals), axis=2)
+    assert np.degrees(np.arccos(np.clip(cosines[known], -1, 1))).max() < 0.2
+    in_memory = sx.demo_dataset().views[3].truth()
+    assert_allclose(in_memory.depth, on_disk.depth, rtol=1e-4)

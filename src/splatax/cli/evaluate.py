@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 from rich.table import Column, Table
@@ -86,7 +86,12 @@ class Evaluate:
             for kind, text in as_json(geometry)["protocol"].items():
                 show(cell(f"{kind}: {text}", "dim"))
         out = self.out or model.path.parent / "eval.json"
-        contents = {"model": model.path, "scene": self.scene, "split": self.split, "protocol": how}
+        contents: dict[str, Any] = {
+            "model": model.path,
+            "scene": self.scene,
+            "split": self.split,
+            "protocol": how,
+        }
         contents["geometry"] = as_json(geometry) if geometry else None
         write_json(out, contents | scores_as_json(scores))
         say(f"scores  {out}")
@@ -112,11 +117,12 @@ def words_of(scores: GeometryScores) -> list[str]:
     mean = scores.mean
     source = "the truth" if scores.reference == "truth" else "points of structure from motion"
     lines = [
-        f"depth   {mean.depth:.4g} off {source} ({100 * mean.relative:.2g} %), bias {mean.bias:+.2g}, "
-        f"{100 * mean.coverage:.0f} % covered"
+        f"{output}: {error.median:.4g} off {source} ({100 * error.relative:.2g} %), bias {error.bias:+.2g}"
+        for output, error in mean.depths.items()
     ]
+    lines.append(f"coverage: {100 * mean.coverage:.0f} %")
     if mean.normals is not None:
-        lines.append(f"normals {mean.normals:.1f} degrees off {source}")
+        lines.append(f"normals: {mean.normals:.1f} degrees off {source}")
     return lines
 
 

@@ -26,6 +26,7 @@ from splatax.cli.options import (
 )
 from splatax.cli.output import say
 from splatax.errors import InputError
+from splatax.geometry_scores import DEPTHS, best_depth
 from splatax.mesh.extraction import check
 from splatax.mesh.files import suffix_of
 
@@ -34,8 +35,9 @@ from splatax.mesh.files import suffix_of
 class Mesh:
     """Make a triangle mesh of the surfaces that the training cameras see.
 
-    Fuses the depth of the scene from all training cameras. The mesh has colors, and ends where no two cameras
-    saw a surface; small loose parts are removed. docs/mesh.md tells how to train scenes for good meshes.
+    Fuses the depth of the scene from all training cameras. The mesh has colors, and ends where fewer than
+    three cameras saw a surface; small loose parts are removed. docs/mesh.md tells how to train scenes for
+    good meshes.
     """
 
     model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")]
@@ -47,6 +49,9 @@ class Mesh:
     voxel: Annotated[Literal["auto"] | float, shown_as("{auto,LENGTH}")] = "auto"
     """Width of a voxel in world units: smaller details are lost. "auto", the default: the width of a pixel on
     the surface or, if it is larger, the difference between the depths that neighboring cameras see."""
+    depth: Annotated[Literal["auto", *DEPTHS], shown_as()] = "auto"  # type: ignore[valid-type]
+    """Output of the scene that is its depth. "auto", the default: the one that agrees best with the capture's
+    own points."""
     faces: Annotated[int | None, shown_as("N")] = None
     """Simplify to this many faces. By default all are kept; with --collision, 5000."""
     collision: Annotated[bool, shown_as()] = False
@@ -74,10 +79,13 @@ class Mesh:
         scene = self.scene or scene_of(model)
         if scene is None:
             raise InputError(f"{self.model}: needs cameras: give the capture folder, --scene CAPTURE.")
-        cameras = [view.camera for view in load_scene(scene, self.downscale, model).train]
+        train = load_scene(scene, self.downscale, model).train
         background = background_of(model.options, self.background)
         renderer = sx.Renderer(background, backend=resolve_backend(self.backend))
-        views = mesh.depth_views(model.gaussians, cameras, renderer=renderer)
+        depth = best_depth(model.gaussians, train, renderer) if self.depth == "auto" else self.depth
+        say(f"depth   {depth}")
+        cameras = [view.camera for view in train]
+        views = mesh.depth_views(model.gaussians, cameras, renderer=renderer, depth=depth)
         if voxel is None:
             voxel = self._chosen(views)
         if self.collision:

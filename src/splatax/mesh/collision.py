@@ -60,8 +60,8 @@ def slabs(volume: Volume, views: int) -> Volume:
     """
     behind = np.maximum(volume.distances, -THICKNESS - volume.distances)
     distances = np.where(volume.views >= views, behind, np.float32(1))
-    ones = {"weights": np.ones_like(volume.weights), "views": np.ones_like(volume.views)}
-    return replace(volume, distances=distances, **ones)
+    weights, counts = np.ones_like(volume.weights), np.ones_like(volume.views)
+    return replace(volume, distances=distances, weights=weights, views=counts)
 
 
 def solids(mesh: Mesh) -> Mesh:

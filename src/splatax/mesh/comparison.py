@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from splatax.cameras import Camera
@@ -115,11 +115,16 @@ def distances(points: Float[np.ndarray, "n 3"], truth: Samples) -> Float[np.ndar
 
 def points_on(mesh: Mesh, count: int) -> Float[np.ndarray, "n 3"]:
     """Returns random points on a mesh, evenly spread over its area. The same for each call."""
+    faces, weights = places_on(mesh, count)
+    return np.sum(mesh.vertices[mesh.faces[faces]] * weights[..., None], axis=1)
+
+
+def places_on(mesh: Mesh, count: int) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
+    """Returns where the points of `points_on` lie: their faces, and the weights of the faces' corners."""
     rng = np.random.default_rng(0)
     areas = mesh.areas
-    faces = mesh.faces[rng.choice(len(areas), count, p=areas / areas.sum())]
-    u, v = rng.random((2, count, 1))
+    faces = rng.choice(len(areas), count, p=areas / areas.sum())
+    u, v = rng.random((2, count))
     folded = u + v > 1
     u, v = np.where(folded, 1 - u, u), np.where(folded, 1 - v, v)
-    a, b, c = (mesh.vertices[faces[:, i]] for i in range(3))
-    return a + u * (b - a) + v * (c - a)
+    return faces, np.stack([1 - u - v, u, v], axis=1)

@@ -15,7 +15,7 @@ from splatax.mesh.surface import surface_of
 from splatax.mesh.views import DepthView, Watch, unwatched
 
 LEAST_COMPONENT = 0.01  # area of a part that is kept, as a fraction of that of the largest
-LEAST_VIEWS = 2  # a surface that one view alone sees is often fog in front of that camera
+LEAST_VIEWS = 3  # a surface that fewer views see is often fog in front of that camera
 LEAST_FACES = 4
 
 
@@ -56,7 +56,7 @@ def extract(
 
 
 def least_views(views: Sequence[DepthView]) -> int:
-    """Returns how many of the views must agree on a surface: two, if there are as many."""
+    """Returns how many of the views must agree on a surface: three, if there are as many."""
     return min(LEAST_VIEWS, len(views))
 
 

@@ -33,16 +33,16 @@ def write_arm_capture(folder: str | Path, size: int = 128, poses: int = 8, views
     named = {f"pose{i}": clip.pose(rest, float(time)) for i, time in enumerate(times)}
     photos, pose_of = {}, {}
     for name, pose in named.items():
-        for view in range(views):
-            photo = f"{name}-{view}.png"
+        for number in range(views):
+            photo = f"{name}-{number}.png"
             camera = camera_around(body, rng.uniform(0, 2 * np.pi), rng.uniform(-0.3, 0.7), size)
             photos[photo], pose_of[photo] = (pose, camera), name
     held_out = [photo for photo, name in pose_of.items() if name in HELD_OUT]
     frames = []
     for view in posed_dataset(body, photos).train:
         images.write(folder / "images" / view.name, view.pixels())
-        pose = np.linalg.inv(np.asarray(view.camera.cam_from_world, np.float64)) @ TO_OPENGL
-        frames.append({"file_path": f"images/{view.name}", "transform_matrix": pose.tolist()})
+        world = np.linalg.inv(np.asarray(view.camera.cam_from_world, np.float64)) @ TO_OPENGL
+        frames.append({"file_path": f"images/{view.name}", "transform_matrix": world.tolist()})
     focal = float(next(iter(photos.values()))[1].fx)
     lens = {"fl_x": focal, "fl_y": focal, "cx": size / 2, "cy": size / 2, "w": size, "h": size}
     contents = {**lens, "frames": frames, "test_filenames": [f"images/{photo}" for photo in held_out]}

@@ -56,9 +56,9 @@ def _decomposed(factor: Float[Array, "3 3"]):
         for i, j in ((0, 1), (0, 2), (1, 2)):
             columns[i], columns[j] = _made_orthogonal(columns[i], columns[j])
     stacked = jnp.stack(columns, axis=1)
-    columns, turn = stacked[:3], stacked[3:]
-    scales = jnp.sqrt(jnp.sum(columns * columns, axis=0))
-    units = columns / jnp.where(scales > 0, scales, 1)[None, :]
+    orthogonal, turn = stacked[:3], stacked[3:]
+    scales = jnp.sqrt(jnp.sum(orthogonal * orthogonal, axis=0))
+    units = orthogonal / jnp.where(scales > 0, scales, 1)[None, :]
     # The least axis follows from the others, so that the axes are a rotation even if it has no length.
     least = jnp.argmin(scales)
     third = jnp.cross(units[:, (least + 1) % 3], units[:, (least + 2) % 3])

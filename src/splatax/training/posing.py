@@ -23,7 +23,7 @@ from splatax.training.step import photo_over
 
 @dataclass(frozen=True)
 class Search:
-    """How a pose is searched for.
+    """Settings of a search for a pose.
 
     Attributes:
         steps: number of steps; each uses one photo, in turn.

@@ -40,7 +40,7 @@ ADAM = optax.scale_by_adam(b1=0.9, b2=0.999, eps=1e-15)  # of the weights, as of
 
 @dataclass(frozen=True)
 class Learned:
-    """What is learned beside the Gaussians.
+    """Learning rates of the poses and the weights, which are learned beside the Gaussians.
 
     Attributes:
         pose_rate: first learning rate of the joints' rotations, radians a step; 0 keeps the poses as given.
@@ -128,8 +128,8 @@ def optimize_rig(
 ) -> Iterator[RigProgress]:
     """Trains Gaussians in the bound pose of a skeleton, and yields after each step.
 
-    A new Gaussian follows the joints of its parent. The recipe's models of cameras and appearance are not
-    used.
+    A new Gaussian follows the joints of its parent. The recipe's models of cameras, appearance
+    and geometry are not used.
 
     Args:
         dataset: the photos.
@@ -209,11 +209,11 @@ def _step(
         given = jax.tree.map(lambda leaf: leaf[pose], settings.poses)
         joints = rig.skeleton.worlds(spun(given, turns.reshape(-1, 3)))
         splats = project(skin(gaussians, rig, joints), batch.camera, low_pass=low_pass, backend=kernels)
-        return recipe.density.watch(splats), recipe.prior(gaussians, settings.extent)
+        return recipe.density.watch(splats), recipe.objective.prior(gaussians, settings.extent)
 
     def image_loss(splats):
         sums, alpha = composite(splats, splats.colors, backend=kernels)
-        return recipe.loss(over(sums, alpha, background), photo, batch.mask, kernels.photometric)
+        return recipe.objective.loss(over(sums, alpha, background), photo, batch.mask, kernels.photometric)
 
     parameters = state.gaussians, state.logits, state.turns.values[pose]
     (splats, prior), pull_back = jax.vjp(project_view, *parameters)

@@ -145,7 +145,7 @@ def _pose(path: Path, nodes: Nodes) -> Pose:
 
 def _binding(path: Path, gltf: dict[str, Any], buffer: bytes, nodes: Nodes) -> Binding:
     """Returns the pose in which meshes are bound, with the topmost joint where the file has it."""
-    rest, known = nodes.worlds, {}
+    rest, known = nodes.worlds, dict[int, np.ndarray]()
     binding = Binding(np.zeros_like(rest))
     for number, skin in enumerate(gltf.get("skins", ())):
         joints = np.array([nodes.place_of(node) for node in skin["joints"]])

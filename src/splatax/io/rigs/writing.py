@@ -185,7 +185,8 @@ def _nodes(skeleton: Skeleton) -> list[dict[str, Any]]:
 
 
 def _animation(glb: Glb, name: str, clip: Clip) -> dict[str, Any]:
-    channels, samplers = [], []
+    channels: list[dict[str, Any]] = []
+    samplers: list[dict[str, Any]] = []
     for channel in clip.channels:
         values = channel.values[..., [1, 2, 3, 0]] if channel.path == "rotation" else channel.values
         channels.append({"sampler": len(samplers), "target": {"node": channel.joint, "path": channel.path}})

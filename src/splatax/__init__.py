@@ -45,6 +45,7 @@ HOMES = {  # public name -> module here that defines it
     "render": "rendering",
     "save": "io.formats",
     "save_scene": "io.scenes",
+    "skin": "scene.skin",
     "view": "notebook",
 }
 SUBMODULES = {  # public name -> module here
@@ -114,6 +115,7 @@ if TYPE_CHECKING:  # the same names, for type checkers and editors; tests/test_i
     from splatax.runs import forecast as forecast
     from splatax.scene import Part as Part
     from splatax.scene import Scene as Scene
+    from splatax.scene.skin import skin as skin
     from splatax.sky import Sky as Sky
     from splatax.splats import Splats as Splats
     from splatax.stages import composite as composite

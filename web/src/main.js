@@ -32,10 +32,14 @@ class Viewer {
     await this.stage.load(page.parts, window.file);
     this.variants.update();
     if (page.autoplay && !CALM) this.play();
+    if (this.stage.animation) this.stage.animation.playing = !CALM;
+    update();
     let before = performance.now();
     let idle = 0;
     const frame = (now) => {
-      const moving = this.#advance(Math.min((now - before) / 1000, LONGEST_FRAME));
+      const seconds = Math.min((now - before) / 1000, LONGEST_FRAME);
+      const animated = Boolean(this.stage.animation?.advance(seconds));
+      const moving = this.#advance(seconds) || animated;
       before = now;
       idle = moving ? 0 : idle + 1;
       this.stage.draw(this.pose, idle < 6);
@@ -51,6 +55,13 @@ class Viewer {
   show(index) {
     this.shown = (index + cameras.length) % cameras.length;
     this.#move(new Glide(this.pose, cameras[this.shown], GLIDE));
+  }
+
+  /** Plays or pauses the clip. */
+  animate() {
+    const { animation } = this.stage;
+    if (animation) animation.playing = !animation.playing;
+    update();
   }
 
   reset() {
@@ -104,6 +115,7 @@ class Viewer {
 /** Updates the buttons to the state of the viewer. */
 function update() {
   find('play').setAttribute('aria-pressed', viewer.playing);
+  find('animate')?.setAttribute('aria-pressed', Boolean(viewer.stage.animation?.playing));
   find('mode').setAttribute('aria-pressed', viewer.controls.mode === 'fly');
   find('mode-name').textContent = viewer.controls.mode === 'fly' ? 'Fly' : 'Orbit';
   if (find('cameras')) find('cameras').value = viewer.shown;
@@ -116,6 +128,7 @@ const ACTIONS = {
   previous: () => cameras.length && viewer.show(viewer.shown < 0 ? cameras.length - 1 : viewer.shown - 1),
   next: () => cameras.length && viewer.show(viewer.shown + 1),
   play: () => viewer.play(),
+  animate: () => viewer.animate(),
   mode: () => viewer.setMode(viewer.controls.mode === 'fly' ? 'orbit' : 'fly'),
   reset: () => viewer.reset(),
   fullscreen: () => (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen()),
@@ -123,7 +136,7 @@ const ACTIONS = {
   hide: () => document.body.classList.toggle('bare'),
 };
 const KEYS = {
-  ',': 'previous', '.': 'next', ' ': 'play', o: 'mode', r: 'reset', f: 'fullscreen', '?': 'help', h: 'hide',
+  ',': 'previous', '.': 'next', ' ': 'play', p: 'animate', o: 'mode', r: 'reset', f: 'fullscreen', '?': 'help', h: 'hide',
 }; // prettier-ignore
 
 const options = document.querySelectorAll('#variants button');

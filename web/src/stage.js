@@ -1,6 +1,7 @@
 // The scene on a canvas, rendered by three.js and Spark.
 import { SparkRenderer, SplatMesh } from '@sparkjsdev/spark';
 import { Color, PerspectiveCamera, Scene, SRGBColorSpace, WebGLRenderer } from 'three';
+import { Animation } from './animation.js';
 import { ColorMap } from './colors.js';
 import { project } from './pose.js';
 
@@ -20,8 +21,9 @@ export class Stage {
   #fence = null; // signalled when the device has drawn the last frame
   #began = 0;
 
-  constructor(canvas, { background, lowPass, near }) {
+  constructor(canvas, { background, lowPass, near, motion }) {
     this.near = near;
+    this.motion = motion; // of the splats; null if they stay
     this.renderer = new WebGLRenderer({ canvas, antialias: false, powerPreference: 'high-performance' });
     this.scene = new Scene();
     this.scene.background = new Color().setRGB(...background, SRGBColorSpace);
@@ -37,6 +39,7 @@ export class Stage {
       minAlpha: 1 / 255,
       maxPixelRadius: 1e4,
       accumExtSplats: true,
+      covSplats: Boolean(motion), // blended bones shear the splats
       enableLod: false,
       onDirty: () => (this.dirty = true),
     });
@@ -49,12 +52,14 @@ export class Stage {
     for (const { file, position, quaternion, scale } of parts) {
       const source = files[file] ? { extSplats: files[file] } : { fileBytes: await open(file), fileType: 'spz', extSplats: true };
       const color = new ColorMap();
-      const mesh = new SplatMesh({ ...source, objectModifier: color.modifier, lod: false, raycastable: false });
+      const covSplats = Boolean(this.motion);
+      const mesh = new SplatMesh({ ...source, covSplats, objectModifier: color.modifier, lod: false, raycastable: false });
       await mesh.initialized;
       files[file] ??= mesh.extSplats;
       mesh.position.set(...position);
       mesh.quaternion.set(...quaternion);
       mesh.scale.setScalar(scale);
+      if (this.motion) this.animation = new Animation(mesh, this.motion);
       this.scene.add(mesh);
       this.#parts.push({ mesh, color });
     }
@@ -79,7 +84,7 @@ export class Stage {
   draw(pose, moving) {
     const { clientWidth: width, clientHeight: height } = this.renderer.domElement;
     const ratio = this.#pixelRatio(moving);
-    const state = JSON.stringify([width, height, ratio, moving, pose]);
+    const state = JSON.stringify([width, height, ratio, moving, pose, this.animation?.time]);
     const changed = state !== this.#drawn;
     this.settled = !changed && !moving && !this.dirty && !this.#busy(moving) && this.#sorted();
     if (!(changed || this.dirty) || !width || !height || this.#busy(moving)) return;

@@ -10,7 +10,9 @@ from typing import Annotated, Any
 import tyro
 
 import splatax
+from splatax.cli.animate import Animate
 from splatax.cli.bench import Bench
+from splatax.cli.bind import Bind
 from splatax.cli.compare import Compare
 from splatax.cli.compose import Compose
 from splatax.cli.create import Create
@@ -27,6 +29,7 @@ from splatax.cli.page import Page
 from splatax.cli.platform import keep_compiled_programs, keep_freed_memory
 from splatax.cli.reconstruct import Reconstruct
 from splatax.cli.render import Render
+from splatax.cli.rig import RigCommand
 from splatax.cli.train import Train
 from splatax.cli.view import View
 from splatax.errors import InputError
@@ -45,6 +48,9 @@ COMMANDS = {
     "mesh": Mesh,
     "page": Page,
     "compose": Compose,
+    "bind": Bind,
+    "rig": RigCommand,
+    "animate": Animate,
     "demo": Demo,
     "bench": Bench,
     "doctor": Doctor,

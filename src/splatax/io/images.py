@@ -141,7 +141,7 @@ def read_mask(path: Path) -> Mask:
         return np.any(shades != 0, axis=2)
 
 
-def write(path: Path, pixels: UInt8[np.ndarray, "h w 3"]) -> None:
+def write(path: Path, pixels: UInt8[np.ndarray, "h w 3"] | UInt8[np.ndarray, "h w 4"]) -> None:
     """Writes a PNG atomically: a crash leaves the old file unchanged."""
     from PIL import Image
 

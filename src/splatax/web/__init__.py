@@ -9,3 +9,4 @@ from splatax.web.page import require_viewer as require_viewer
 from splatax.web.page import save as save
 from splatax.web.presentation import Hotspot as Hotspot
 from splatax.web.presentation import Presentation as Presentation
+from splatax.web.skinned import Motion as Motion

@@ -10,17 +10,20 @@ from typing import Any
 import jax
 import jinja2
 import numpy as np
+from jaxtyping import Int
 
 from splatax.cameras import Camera
 from splatax.cameras.lenses.protocol import NEAR
 from splatax.errors import FormatError, InputError
-from splatax.gaussians import Gaussians
+from splatax.gaussians import Gaussians, broken
 from splatax.io import formats
 from splatax.io.files import write_whole
 from splatax.low_pass import Antialiasing, Dilation, LowPass
 from splatax.math import morton
 from splatax.scene import Drawable, seen
+from splatax.transforms import Similarity
 from splatax.web.presentation import Presentation, described, placed
+from splatax.web.skinned import Motion
 from splatax.web.staging import stage
 
 MAX_SH_DEGREE = 3  # highest degree that the viewer draws
@@ -58,6 +61,7 @@ def document(
     cameras: Mapping[str, Camera] | None = None,
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
     presentation: Presentation = NOTHING,
+    motion: Motion | None = None,
     name: str = "page",
 ) -> str:
     """Returns the HTML of a page that shows a scene.
@@ -70,6 +74,7 @@ def document(
         cameras: cameras of the capture by name: the viewpoints, and the keyframes of the flight.
         background: display-referred RGB behind the scene, in [0, 1].
         presentation: variants, notes, start view and flight.
+        motion: a clip that the scene plays; its colours do not turn, so they are right at SH degree 0.
         name: name of the page in error messages.
 
     Raises:
@@ -90,6 +95,7 @@ def document(
         "start": staged.start,
         "parts": parts,
         **described(scene, staged, presentation, name),
+        "motion": _motion(motion, files, staged.place, name),
     }
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("splatax.web", "."), autoescape=True, undefined=jinja2.StrictUndefined
@@ -102,6 +108,27 @@ def document(
         viewer=list(_chunks(gzip.compress(viewer, 9, mtime=0))),
         scenes={file: list(_chunks(_spz(gaussians))) for file, gaussians in files.items()},
     )
+
+
+def _motion(
+    motion: Motion | None, files: Mapping[str, Gaussians], place: Similarity, name: str
+) -> dict[str, Any] | None:
+    """Returns what the page needs of a motion, which is that of its only file."""
+    if motion is None:
+        return None
+    if len(files) != 1:
+        raise FormatError(f"{name}: a clip moves Gaussians, not a scene of parts. Merge the parts first.")
+    (gaussians,) = files.values()
+    return motion.described(place, _order(gaussians), name)
+
+
+def _order(gaussians: Gaussians) -> Int[np.ndarray, " n"]:
+    """Returns the rows that a page holds, in their order: neighbours in space are neighbours in the file.
+
+    The file is smaller and drawn faster so. Broken Gaussians and empty slots are left out.
+    """
+    nearby = morton.order(np.asarray(gaussians.means))
+    return nearby[~(broken(gaussians) | np.isneginf(np.asarray(gaussians.opacity_logits)))[nearby]]
 
 
 def _check(scene: Drawable, name: str) -> LowPass:
@@ -155,8 +182,7 @@ def _variances(low_pass: LowPass) -> dict[str, Any]:
 
 
 def _spz(gaussians: Gaussians) -> bytes:
-    # Neighbours in space are neighbours in the file, which compresses and draws better.
-    nearby = morton.order(np.asarray(gaussians.means))
+    nearby = _order(gaussians)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "scene.spz"
         formats.save(path, jax.tree.map(lambda leaf: leaf[nearby], gaussians), buckets=SH_BUCKETS)

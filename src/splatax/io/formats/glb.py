@@ -28,6 +28,12 @@ from splatax.transforms import half_turn
 FLOAT, UNSIGNED_BYTE = 5126, 5121  # glTF's component types
 VERTICES = 34962  # glTF's buffer target for vertex attributes
 KINDS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
+PROPERTIES = {  # of the extension, as this engine draws splats
+    "kernel": "ellipse",
+    "colorSpace": "srgb_rec709_display",
+    "sortingMethod": "cameraDistance",
+    "projection": "perspective",
+}
 
 MAX_SH_DEGREE = 3
 LOSES = "Only rounding: opacities and scales are stored as such, not as logits and logarithms."
@@ -61,7 +67,7 @@ def placed(path: Path) -> list[tuple[Placed, Gaussians]]:
     read: dict[int, Gaussians] = {}
     for at in found:
         if id(at.primitive) not in read:
-            read[id(at.primitive)] = _gaussians(glb_scene.accessors(path, gltf, buffer, at.primitive))
+            read[id(at.primitive)] = gaussians_of(glb_scene.accessors(path, gltf, buffer, at.primitive))
     return [(at, read[id(at.primitive)]) for at in found]
 
 
@@ -117,7 +123,7 @@ def _primitive(
     """Appends the attributes of Gaussians in glTF's axes to the file's lists, and returns their primitive."""
     attributes = {}
     offset = sum(map(len, chunks))
-    for name, values in _attributes(gaussians).items():
+    for name, values in attributes_of(gaussians).items():
         attributes[name] = len(accessors)
         accessor: dict[str, Any] = {
             "bufferView": len(views),
@@ -133,16 +139,11 @@ def _primitive(
         views.append({"buffer": 0, "byteOffset": offset, "byteLength": values.nbytes, "target": VERTICES})
         chunks.append(values.tobytes())
         offset += values.nbytes  # all are multiples of 4
-    properties = {
-        "kernel": "ellipse",
-        "colorSpace": "srgb_rec709_display",
-        "sortingMethod": "cameraDistance",
-        "projection": "perspective",
-    }
-    return {"attributes": attributes, "mode": 0, "extensions": {EXTENSION: properties}}
+    return {"attributes": attributes, "mode": 0, "extensions": {EXTENSION: PROPERTIES}}
 
 
-def _attributes(gaussians: Gaussians) -> dict[str, np.ndarray]:
+def attributes_of(gaussians: Gaussians) -> dict[str, np.ndarray]:
+    """Returns the attributes of a mesh of splats by name, in glTF's frame if the scene is."""
     sh = np.asarray(gaussians.sh)
     opacities = np.asarray(gaussians.opacities)[:, None]
     rgb = packing.levels(harmonics.to_rgb(sh[:, 0]), 255).astype("u1")
@@ -162,7 +163,8 @@ def _attributes(gaussians: Gaussians) -> dict[str, np.ndarray]:
     }
 
 
-def _gaussians(attributes: dict[str, np.ndarray]) -> Gaussians:
+def gaussians_of(attributes: dict[str, np.ndarray]) -> Gaussians:
+    """Returns the scene that attributes of a mesh of splats describe, in the frame of the attributes."""
     coefficients = []
     for band in range(MAX_SH_DEGREE + 1):
         names = [f"{EXTENSION}:SH_DEGREE_{band}_COEF_{i}" for i in range(2 * band + 1)]

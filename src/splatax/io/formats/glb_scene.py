@@ -14,8 +14,8 @@ from splatax.transforms import Similarity
 EXTENSION = "KHR_gaussian_splatting"
 VISIBILITY = "KHR_node_visibility"
 PREFIXES = ("POSITION", f"{EXTENSION}:")
-TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5126: "<f4"}
-WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 MAX_NODES = 10_000  # nodes that are visited; valid nodes form no cycle, but those of a damaged file may
 MAX_REPETITION = 16  # mean number of times that the nodes of a file may repeat its splats
 SMALLEST_ROW = 4 * (3 + 4 + 3 + 1 + 3)  # bytes in memory of a Gaussian with SH degree 0
@@ -92,7 +92,7 @@ def accessors(
         FormatError: if the arrays have different numbers of rows, or reach beyond the buffer.
     """
     arrays = {
-        name: _accessor(path, gltf, buffer, gltf["accessors"][index])
+        name: accessor(path, gltf, buffer, index)
         for name, index in primitive["attributes"].items()
         if name.startswith(PREFIXES)
     }
@@ -154,7 +154,13 @@ def _place(node: dict[str, Any]) -> Similarity:
     return Similarity(rotation, np.array(node.get("translation", (0, 0, 0)), np.float64), float(scales[0]))
 
 
-def _accessor(path: Path, gltf: dict[str, Any], buffer: bytes, accessor: dict[str, Any]) -> np.ndarray:
+def accessor(path: Path, gltf: dict[str, Any], buffer: bytes, index: int) -> np.ndarray:
+    """Returns the rows of an accessor as float32; normalized integers are divided by their maximum.
+
+    Raises:
+        FormatError: if the accessor reaches beyond the buffer, or is sparse or outside the file.
+    """
+    accessor = gltf["accessors"][index]
     view = gltf["bufferViews"][accessor["bufferView"]]
     if accessor.get("sparse") or view.get("buffer", 0) != 0 or "uri" in gltf["buffers"][0]:
         raise FormatError(f"{path}: keeps numbers outside the file or sparsely, which splatax does not read.")

@@ -1,0 +1,108 @@
+"""Bodies from .glb files: triangles that follow joints."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from splatax.errors import FormatError, shown
+from splatax.io.formats import glb_scene
+from splatax.io.formats.untrusted import structured
+from splatax.io.rigs.nodes import FRAME, Binding, Nodes, read_skeleton
+from splatax.scene.body import JOINTS, Body, Surface, strongest
+
+TRIANGLES = 4  # glTF's mode of a primitive
+
+
+def read_body(path: str | Path) -> Body:
+    """Reads a .glb file with a mesh and its skeleton.
+
+    Raises:
+        FormatError: if the file is missing or damaged, nothing in it can move, it has no triangles, or a skin
+            or clip is not valid.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FormatError(f"{path}: no such file. Give a .glb file with a mesh and its skeleton.")
+    with structured(path, ".glb"):
+        gltf, buffer = glb_scene.chunks(path)
+        skeleton, clips, nodes, binding = read_skeleton(path, gltf, buffer)
+        parts = [
+            _part(path, gltf, buffer, number, primitive, nodes, binding)
+            for number, node in enumerate(gltf["nodes"])
+            if "mesh" in node
+            for primitive in gltf["meshes"][node["mesh"]]["primitives"]
+            if primitive.get("mode", TRIANGLES) == TRIANGLES
+        ]
+        if not parts:
+            raise FormatError(f"{path}: no triangles. Give a .glb file with a mesh and its skeleton.")
+        surface = _joined(parts)
+    morphs = any("targets" in p for mesh in gltf["meshes"] for p in mesh["primitives"])
+    notes = ("its morph targets are not used: the body follows its joints alone",) if morphs else ()
+    return Body(skeleton, clips, surface, notes)
+
+
+def _part(
+    path: Path,
+    gltf: dict[str, Any],
+    buffer: bytes,
+    number: int,
+    primitive: dict[str, Any],
+    nodes: Nodes,
+    binding: Binding,
+) -> Surface:
+    node, attributes = gltf["nodes"][number], primitive["attributes"]
+
+    def read(name: str) -> np.ndarray:
+        return glb_scene.accessor(path, gltf, buffer, attributes[name]).astype(np.float64)
+
+    vertices = read("POSITION")
+    count = len(vertices)
+    if "indices" in primitive:
+        corners = glb_scene.accessor(path, gltf, buffer, primitive["indices"])[:, 0].astype(np.int64)
+    else:
+        corners = np.arange(count)
+    if len(corners) % 3 or (len(corners) and corners.max() >= count):
+        raise FormatError(f"{path}: damaged: its triangles name vertices that are not there.")
+    if "skin" in node:
+        place, joints = binding.placed[node["skin"]], binding.joints[node["skin"]]
+        sets = sorted(name for name in attributes if name.startswith("JOINTS_"))
+        if not sets:
+            raise FormatError(
+                f"{path}: the mesh of {shown(str(node.get('name')))} has a skin but no JOINTS_0."
+            )
+        found = np.concatenate([read(name) for name in sets], axis=1).astype(np.int64)
+        weights = np.concatenate([read(name.replace("JOINTS", "WEIGHTS")) for name in sets], axis=1)
+        if len(found) != count or len(weights) != count or found.max(initial=0) >= len(joints):
+            raise FormatError(f"{path}: damaged: a mesh follows joints that its skin does not have.")
+        indices, weights = strongest(joints[found], weights)
+    else:
+        own = nodes.place_of(number)
+        place = binding.worlds[own]
+        indices, weights = np.full((count, JOINTS), own), np.tile([1.0, 0, 0, 0], (count, 1))
+    placed = FRAME @ place
+    world = vertices @ placed[:3, :3].T + placed[:3, 3]
+    colors = np.tile(_color(gltf, primitive), (count, 1))
+    return Surface(world, corners.reshape(-1, 3), indices, weights, colors)
+
+
+def _color(gltf: dict[str, Any], primitive: dict[str, Any]) -> Float[np.ndarray, "3"]:
+    """Returns the base colour of a primitive's material, which glTF stores in linear light."""
+    if "material" not in primitive:
+        return np.full(3, 0.8)
+    material = gltf["materials"][primitive["material"]].get("pbrMetallicRoughness", {})
+    linear = np.clip(np.array(material.get("baseColorFactor", (1, 1, 1, 1)), np.float64)[:3], 0, 1)
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+
+def _joined(parts: list[Surface]) -> Surface:
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    triangles = [part.triangles + start for part, start in zip(parts, starts, strict=False)]
+    return Surface(
+        np.concatenate([part.vertices for part in parts]),
+        np.concatenate(triangles),
+        np.concatenate([part.indices for part in parts]),
+        np.concatenate([part.weights for part in parts]),
+        np.concatenate([part.colors for part in parts]),
+    )

@@ -1,0 +1,83 @@
+"""Rigged scenes in .glb files.
+
+The file is a mesh of points with KHR_gaussian_splatting, a skin and animations. Viewers that draw splats but
+know no skins of splats show it in the bound pose.
+"""
+
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from splatax.errors import FormatError
+from splatax.io.formats import glb, glb_scene
+from splatax.io.formats.glb_scene import EXTENSION
+from splatax.io.formats.untrusted import structured
+from splatax.io.rigs.nodes import read_skeleton
+from splatax.io.rigs.writing import joints_attributes, write_skinned
+from splatax.scene.rigged import RiggedScene
+from splatax.scene.skin import Rig
+from splatax.transforms import Similarity, half_turn
+
+PLACED = 1e-4  # difference from the identity up to which splats are in the bound pose as they are
+
+
+def save_rigged(path: str | Path, scene: RiggedScene) -> None:
+    """Writes a rigged scene as a .glb file. Each Gaussian keeps its four strongest joints.
+
+    Raises:
+        FormatError: if the SH degree is above 3.
+    """
+    path = Path(path)
+    if scene.gaussians.sh_degree > glb.MAX_SH_DEGREE:
+        raise FormatError(
+            f"{path}: .glb holds SH up to degree {glb.MAX_SH_DEGREE}, and the scene has degree "
+            f"{scene.gaussians.sh_degree}. Reduce it first (splatax.editing.reduce_degree)."
+        )
+    rig = scene.rig
+    attributes = glb.attributes_of(half_turn(scene.gaussians, axis=2))
+    attributes |= joints_attributes(np.asarray(rig.indices), np.asarray(rig.weights), len(rig.skeleton))
+    primitive = {"mode": 0, "extensions": {EXTENSION: glb.PROPERTIES}}
+    write_skinned(path, rig.skeleton, scene.clips, attributes, primitive)
+
+
+def load_rigged(path: str | Path) -> RiggedScene:
+    """Reads a .glb file whose splats have a skin.
+
+    Raises:
+        FormatError: if the file is missing or damaged, or has no splats with one skin.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FormatError(f"{path}: no such file. Give a .glb file that splatax rig or splatax bind wrote.")
+    with structured(path, ".glb"):
+        gltf, buffer = glb_scene.chunks(path)
+        found = [
+            (node["skin"], primitive)
+            for node in gltf.get("nodes", ())
+            if "mesh" in node and "skin" in node
+            for primitive in gltf["meshes"][node["mesh"]]["primitives"]
+            if EXTENSION in primitive.get("extensions", {})
+        ]
+        if len(found) != 1:
+            raise FormatError(
+                f"{path}: {len(found)} meshes of splats with a skin, where one is needed. Bind a scan to a "
+                "body: splatax bind."
+            )
+        ((number, primitive),) = found
+        skeleton, clips, _, binding = read_skeleton(path, gltf, buffer)
+        gaussians = glb.gaussians_of(glb_scene.accessors(path, gltf, buffer, primitive))
+        place = binding.placed[number]
+        if np.abs(place - np.eye(4)).max() > PLACED:
+            scale = float(np.cbrt(np.linalg.det(place[:3, :3])))
+            gaussians = Similarity(place[:3, :3] / scale, place[:3, 3], scale).transform(gaussians)
+        attributes = primitive["attributes"]
+        joints, weights = (
+            glb_scene.accessor(path, gltf, buffer, attributes[name]) for name in ("JOINTS_0", "WEIGHTS_0")
+        )
+        indices = binding.joints[number][joints.astype(np.int64)]
+        if not len(gaussians) == len(indices) == len(weights):
+            raise FormatError(f"{path}: damaged: not every splat has joints and weights. Get the file again.")
+    sums = np.maximum(weights.sum(axis=1, keepdims=True), 1e-12)
+    rig = Rig(skeleton, jnp.asarray(indices, jnp.int32), jnp.asarray(weights / sums, jnp.float32))
+    return RiggedScene(half_turn(gaussians, axis=2), rig, clips)

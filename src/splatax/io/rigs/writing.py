@@ -1,0 +1,200 @@
+"""Writes .glb files with a skeleton, a skin and clips."""
+
+import json
+import struct
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from splatax.io.files import write_whole
+from splatax.io.formats.glb_scene import EXTENSION
+from splatax.io.rigs.nodes import FRAME
+from splatax.scene.body import Body, strongest
+from splatax.scene.clips import Clip
+from splatax.scene.skeleton import Skeleton
+
+TYPES = {"u1": 5121, "u2": 5123, "u4": 5125, "f4": 5126}  # NumPy's codes to glTF's component types
+KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
+VERTICES, INDICES = 34962, 34963  # glTF's buffer targets
+
+
+class Glb:
+    """A .glb file that is being put together: the arrays so far, and their accessors."""
+
+    def __init__(self) -> None:
+        self.accessors: list[dict[str, Any]] = []
+        self.views: list[dict[str, Any]] = []
+        self.parts: list[bytes] = []
+        self.length = 0
+
+    def add(
+        self, rows: np.ndarray, *, target: int | None = None, normalized: bool = False, limits: bool = False
+    ) -> int:
+        """Appends an array and returns the index of its accessor.
+
+        Args:
+            rows: one row for each element, uint8, uint16, uint32 or float32.
+            target: glTF's buffer target.
+            normalized: whether integers stand for fractions of their maximum.
+            limits: whether the accessor states the smallest and largest values.
+        """
+        accessor: dict[str, Any] = {
+            "bufferView": len(self.views),
+            "componentType": TYPES[rows.dtype.str[1:]],
+            "count": len(rows),
+            "type": KINDS[rows.shape[1]],
+        }
+        if normalized:
+            accessor["normalized"] = True
+        if limits and len(rows):
+            accessor |= {"min": rows.min(axis=0).tolist(), "max": rows.max(axis=0).tolist()}
+        view = {"buffer": 0, "byteOffset": self.length, "byteLength": rows.nbytes}
+        self.views.append(view if target is None else view | {"target": target})
+        contents = np.ascontiguousarray(rows).tobytes()
+        contents += b"\0" * (-len(contents) % 4)
+        self.parts.append(contents)
+        self.length += len(contents)
+        self.accessors.append(accessor)
+        return len(self.accessors) - 1
+
+    def write(self, path: Path, gltf: dict[str, Any]) -> None:
+        """Writes the file with this JSON, which gets the accessors and the buffer."""
+        whole = {
+            **gltf,
+            "accessors": self.accessors,
+            "bufferViews": self.views,
+            "buffers": [{"byteLength": self.length}],
+        }
+        text = json.dumps(whole, separators=(",", ":")).encode()
+        text += b" " * (-len(text) % 4)
+        head = struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + self.length)
+        head += struct.pack("<I4s", len(text), b"JSON") + text
+        write_whole(path, b"".join([head, struct.pack("<I4s", self.length, b"BIN\0"), *self.parts]))
+
+
+def write_skinned(
+    path: Path,
+    skeleton: Skeleton,
+    clips: Mapping[str, Clip],
+    attributes: Mapping[str, np.ndarray],
+    primitive: Mapping[str, Any],
+    triangles: Int[np.ndarray, "t 3"] | None = None,
+) -> None:
+    """Writes one mesh that follows a skeleton.
+
+    Args:
+        path: file to write.
+        skeleton: the joints, which become nodes.
+        clips: by name.
+        attributes: of the vertices, in glTF's frame and the bound pose, with JOINTS_0 and WEIGHTS_0.
+        primitive: other properties of the mesh's primitive.
+        triangles: indices of vertices; None for a mesh of points.
+    """
+    glb = Glb()
+    count = len(skeleton)
+    accessors = {
+        name: glb.add(
+            rows,
+            target=VERTICES,
+            normalized=name == "COLOR_0" and rows.dtype.kind == "u",
+            limits=name == "POSITION",
+        )
+        for name, rows in attributes.items()
+    }
+    mesh = {**primitive, "attributes": accessors}
+    if triangles is not None:
+        mesh["indices"] = glb.add(triangles.reshape(-1, 1).astype("<u4"), target=INDICES)
+    binds = np.asarray(skeleton.inverse_binds, np.float64) @ FRAME
+    inverse = glb.add(binds.transpose(0, 2, 1).reshape(count, 16).astype("<f4"))
+    animations = [_animation(glb, name, clip) for name, clip in clips.items() if clip.channels]
+    gltf: dict[str, Any] = {
+        "asset": {"version": "2.0", "generator": "splatax"},
+        "scene": 0,
+        "scenes": [{"nodes": [*_tops(skeleton), count]}],
+        "nodes": [*_nodes(skeleton), {"name": "skinned", "mesh": 0, "skin": 0}, *_frame(skeleton)],
+        "meshes": [{"primitives": [mesh]}],
+        "skins": [{"joints": list(range(count)), "inverseBindMatrices": inverse}],
+    }
+    if EXTENSION in primitive.get("extensions", {}):
+        gltf["extensionsUsed"] = [EXTENSION]
+    if animations:
+        gltf["animations"] = animations
+    glb.write(path, gltf)
+
+
+def joints_attributes(
+    indices: Int[np.ndarray, "n k"], weights: Float[np.ndarray, "n k"], joints: int
+) -> dict[str, np.ndarray]:
+    """Returns the attributes JOINTS_0 and WEIGHTS_0, the four strongest joints of each vertex."""
+    missing = max(4 - indices.shape[1], 0)
+    indices, weights = (np.pad(rows, [(0, 0), (0, missing)]) for rows in (indices, weights))
+    indices, weights = strongest(indices, weights)
+    indices = np.where(weights > 0, indices, 0)  # as the validator asks
+    return {
+        "JOINTS_0": indices.astype("u1" if joints <= 256 else "<u2"),
+        "WEIGHTS_0": weights.astype("<f4"),
+    }
+
+
+def save_body(path: str | Path, body: Body) -> None:
+    """Writes a body as a .glb file that other programs open too."""
+    surface = body.surface
+    attributes = {
+        "POSITION": (surface.vertices @ FRAME[:3, :3]).astype("<f4"),
+        **joints_attributes(surface.indices, surface.weights, len(body.skeleton)),
+    }
+    write_skinned(Path(path), body.skeleton, body.clips, attributes, {"mode": 4}, surface.triangles)
+
+
+def _turned(skeleton: Skeleton) -> bool:
+    """Returns whether the joints need a node above them, which turns their frame to glTF's."""
+    return not np.allclose(np.asarray(skeleton.root), FRAME)
+
+
+def _tops(skeleton: Skeleton) -> list[int]:
+    tops = [joint for joint, parent in enumerate(skeleton.parents) if parent < 0]
+    return [len(skeleton) + 1] if _turned(skeleton) else tops
+
+
+def _frame(skeleton: Skeleton) -> list[dict[str, Any]]:
+    if not _turned(skeleton):
+        return []
+    matrix = FRAME @ np.asarray(skeleton.root, np.float64)
+    tops = [joint for joint, parent in enumerate(skeleton.parents) if parent < 0]
+    return [{"name": "frame", "matrix": matrix.T.ravel().tolist(), "children": tops}]
+
+
+def _nodes(skeleton: Skeleton) -> list[dict[str, Any]]:
+    rest = skeleton.rest
+    nodes: list[dict[str, Any]] = []
+    for joint, name in enumerate(skeleton.names):
+        w, x, y, z = np.asarray(rest.quats[joint], np.float64) / np.linalg.norm(rest.quats[joint])
+        node: dict[str, Any] = {
+            "name": name,
+            "translation": np.asarray(rest.translations[joint], np.float64).tolist(),
+            "rotation": [x, y, z, w],
+            "scale": np.asarray(rest.scales[joint], np.float64).tolist(),
+        }
+        if children := [i for i, parent in enumerate(skeleton.parents) if parent == joint]:
+            node["children"] = children
+        nodes.append(node)
+    return nodes
+
+
+def _animation(glb: Glb, name: str, clip: Clip) -> dict[str, Any]:
+    channels: list[dict[str, Any]] = []
+    samplers: list[dict[str, Any]] = []
+    for channel in clip.channels:
+        values = channel.values[..., [1, 2, 3, 0]] if channel.path == "rotation" else channel.values
+        channels.append({"sampler": len(samplers), "target": {"node": channel.joint, "path": channel.path}})
+        samplers.append(
+            {
+                "input": glb.add(channel.times[:, None].astype("<f4"), limits=True),
+                "output": glb.add(values.reshape(-1, values.shape[-1]).astype("<f4")),
+                "interpolation": channel.interpolation,
+            }
+        )
+    return {"name": name, "channels": channels, "samplers": samplers}

@@ -1,0 +1,95 @@
+"""Poses from photos: the joints of a rigged scene are turned until its renderings match."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array, Float
+
+from splatax.dataset import View, mask_of
+from splatax.errors import DatasetError
+from splatax.losses import Photometric
+from splatax.rendering import render
+from splatax.scene.rigged import RiggedScene
+from splatax.scene.skeleton import Pose, spun
+from splatax.scene.skin import skin
+from splatax.training.camera_refinement import FINAL_RATE
+from splatax.training.step import photo_over
+
+
+@dataclass(frozen=True)
+class Search:
+    """Settings of a search for a pose.
+
+    Attributes:
+        steps: number of steps; each uses one photo, in turn.
+        rate: learning rate of the rotation vectors at the start, radians a step; it falls log-linearly.
+        background: RGB behind the scene.
+        joints: names of the joints that may turn; None for all.
+    """
+
+    steps: int = 200
+    rate: float = 0.02
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    joints: tuple[str, ...] | None = None
+
+
+def fit_pose(scene: RiggedScene, views: Sequence[View], start: Pose, search: Search = Search()) -> Pose:
+    """Returns the pose of a rigged scene in photos that show it in one pose; see `pose_search`."""
+    *_, (pose, _) = pose_search(scene, views, start, search)
+    return pose
+
+
+def pose_search(
+    scene: RiggedScene, views: Sequence[View], start: Pose, search: Search = Search()
+) -> Iterator[tuple[Pose, Float[Array, ""]]]:
+    """Turns the joints of a pose, and yields the pose and the photo's loss after each step.
+
+    Joints that carry no Gaussian have no gradient and stay. The scene does not change.
+
+    Args:
+        scene: Gaussians that look like the photos.
+        views: photos of one pose, from one or more sides.
+        start: pose near the one that is searched for.
+        search: settings.
+
+    Raises:
+        DatasetError: if there are no photos.
+        InputError: if there is no joint of a name.
+    """
+    if not views:
+        raise DatasetError("A pose is searched for in photos, and there are none.")
+    behind = jnp.asarray(search.background, jnp.float32)
+    photos = [(view.camera, photo_over(jnp.asarray(view.pixels()), behind), _mask(view)) for view in views]
+    rule = optax.adam(optax.exponential_decay(search.rate, search.steps, FINAL_RATE))
+    skeleton = scene.rig.skeleton
+    turns, free = jnp.zeros((len(skeleton), 3)), np.ones((len(skeleton), 1), np.float32)
+    if search.joints is not None:
+        free[:] = 0
+        free[[skeleton.index(name) for name in search.joints]] = 1
+    state = rule.init(turns)
+    for step in range(search.steps):
+        camera, photo, mask = photos[step % len(photos)]
+        arrays = scene.gaussians, scene.rig, start, turns
+        loss, gradient = _compare(*arrays, camera, photo, mask, behind)
+        gradient = jnp.where(jnp.isfinite(gradient), gradient, 0) * free
+        updates, state = rule.update(gradient, state)
+        turns = turns + updates
+        yield spun(start, turns), loss
+
+
+def _mask(view: View) -> Array | None:
+    mask = mask_of(view)
+    return None if mask is None else jnp.asarray(mask)
+
+
+@jax.jit
+@partial(jax.value_and_grad, argnums=3)
+def _compare(gaussians, rig, start, turns, camera, photo, mask, background):
+    posed = skin(gaussians, rig, rig.skeleton.worlds(spun(start, turns)))
+    image = render(posed, camera, background=background).rgb
+    return Photometric()(image, photo, mask)

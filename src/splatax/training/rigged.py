@@ -1,0 +1,286 @@
+"""Training of Gaussians that follow a skeleton, from photos of it in known poses.
+
+It uses the optimizer, loss, density control and schedules of a recipe. Poses and weights are learned too on
+request.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Float, Int
+
+from splatax import backends
+from splatax.dataset import Dataset
+from splatax.errors import DatasetError
+from splatax.gaussians import Gaussians
+from splatax.outputs import over
+from splatax.scene.skeleton import Pose, spun
+from splatax.scene.skin import Rig, skin
+from splatax.stages import composite, project
+from splatax.training import optimizer, per_photo
+from splatax.training.camera_refinement import FINAL_RATE
+from splatax.training.capacity import bucket_for, pad, without_broken
+from splatax.training.feed import Batch, batches
+from splatax.training.optimizer import inherit
+from splatax.training.per_photo import PerPhoto
+from splatax.training.recipes import Recipe, ShSchedule, default
+from splatax.training.resolution import Resolution
+from splatax.training.schedule import Schedule
+from splatax.training.step import photo_over
+
+POSE_RATE = 5e-3  # radians a step, at the start
+WEIGHT_RATE = 0.02  # of the logarithms, a step, at the start
+ADAM = optax.scale_by_adam(b1=0.9, b2=0.999, eps=1e-15)  # of the weights, as of the Gaussians
+
+
+@dataclass(frozen=True)
+class Learned:
+    """Learning rates of the poses and the weights, which are learned beside the Gaussians.
+
+    Attributes:
+        pose_rate: first learning rate of the joints' rotations, radians a step; 0 keeps the poses as given.
+        weight_rate: first learning rate of the logarithms of the weights; 0 keeps the weights.
+    """
+
+    pose_rate: float = 0.0
+    weight_rate: float = 0.0
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class RigState:
+    """The state of a run between two steps.
+
+    Attributes:
+        step: number of steps made.
+        gaussians: in the bound pose, with empty slots.
+        opt_state: of the optimizer of the Gaussians.
+        density_state: of the density strategy.
+        indices: joints of each Gaussian.
+        logits: logarithms of the weights, up to a constant for each Gaussian.
+        weights_state: of the optimizer of the logits.
+        turns: rotation vector of each joint in each pose, radians, after the pose as given.
+    """
+
+    step: Int[Array, ""]
+    gaussians: Gaussians
+    opt_state: Any
+    density_state: Any
+    indices: Int[Array, "n k"]
+    logits: Float[Array, "n k"]
+    weights_state: Any
+    turns: PerPhoto
+
+
+@dataclass(frozen=True)
+class RigProgress:
+    """The result of one step, as `optimize_rig` yields it.
+
+    Attributes:
+        step: number of steps made, from 1.
+        loss: of the step's photo; reading it waits for the step to end.
+        count: number of Gaussians.
+    """
+
+    step: int
+    loss: Float[Array, ""]
+    count: int
+    _state: RigState
+    _rig: Rig
+    _poses: Pose
+    _names: tuple[str, ...]
+
+    @property
+    def gaussians(self) -> Gaussians:
+        """A copy of the Gaussians in the bound pose."""
+        return jax.tree.map(lambda leaf: jnp.array(leaf[: self.count]), self._state.gaussians)
+
+    @property
+    def rig(self) -> Rig:
+        """The skeleton, and a copy of the weights."""
+        weights = jax.nn.softmax(self._state.logits[: self.count], axis=1)
+        return replace(self._rig, indices=jnp.array(self._state.indices[: self.count]), weights=weights)
+
+    @property
+    def poses(self) -> dict[str, Pose]:
+        """The poses as they are learned now, by name."""
+        turns = self._state.turns.values.reshape(len(self._names), -1, 3)
+        moved = jax.vmap(spun)(self._poses, turns)
+        return {name: _row(moved, i) for i, name in enumerate(self._names)}
+
+
+def _row(pose: Pose, index: int) -> Pose:
+    return jax.tree.map(lambda leaf: leaf[index], pose)
+
+
+def optimize_rig(
+    dataset: Dataset,
+    recipe: Recipe,
+    start: tuple[Gaussians, Rig],
+    poses: Mapping[str, Pose],
+    pose_of: Mapping[str, str],
+    learned: Learned = Learned(),
+) -> Iterator[RigProgress]:
+    """Trains Gaussians in the bound pose of a skeleton, and yields after each step.
+
+    A new Gaussian follows the joints of its parent. The recipe's models of cameras, appearance
+    and geometry are not used.
+
+    Args:
+        dataset: the photos.
+        recipe: the settings.
+        start: Gaussians in the bound pose and their rig, such as `scene.binding.covering(body, 6000)`.
+        poses: poses of the skeleton by name.
+        pose_of: name of the pose in each training photo, by the photo's name.
+        learned: what is learned beside the Gaussians.
+
+    Raises:
+        DatasetError: if there are no training photos, or one has no pose.
+    """
+    if not dataset.train:
+        raise DatasetError("The capture has no photos to train on.")
+    for view in dataset.train:
+        if pose_of.get(view.name) not in poses:
+            raise DatasetError(f"{view.name}: no pose is given for this photo. Add it to the poses.")
+    recipe = replace(recipe, backend=backends.resolve(recipe.backend))
+    names = tuple(poses)
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *poses.values())
+    which = jnp.asarray([names.index(pose_of[view.name]) for view in dataset.train], jnp.int32)
+    gaussians, rig = start
+    state, count = _first(gaussians, rig, recipe, len(names)), len(gaussians)
+    refine_key, step_key = jax.random.split(jax.random.key(recipe.seed))
+    schedule = Schedule(recipe.steps, recipe.steps, recipe.resolution)
+    settings = _Settings(rig, stacked, which, jnp.float32(dataset.extent), step_key)
+    for step, batch in enumerate(batches(dataset.train, recipe.seed, 0, schedule), 1):
+        state, loss = _step(state, batch, settings, recipe, learned)
+        if refinement := schedule.refinement(step, recipe.density):
+            state, count = _refined(state, count, refinement, dataset.extent, recipe, refine_key)
+        yield RigProgress(step, loss, count, state, rig, stacked, names)
+        if step >= recipe.steps:
+            return
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class _Settings:
+    """Arrays that do not change during a run; `which` is the pose of each photo."""
+
+    rig: Rig
+    poses: Pose
+    which: Int[Array, " photos"]
+    extent: Float[Array, ""]
+    key: Any
+
+
+def _first(gaussians: Gaussians, rig: Rig, recipe: Recipe, poses: int) -> RigState:
+    rows = bucket_for(len(gaussians))
+    padded, spare = pad(gaussians, rows), [(0, rows - len(gaussians)), (0, 0)]
+    logits = jnp.log(jnp.clip(jnp.pad(rig.weights, spare), 1e-4, 1))
+    return RigState(
+        jnp.int32(0),
+        padded,
+        recipe.optimizer.rule().init(padded),
+        recipe.density.init(rows),
+        jnp.pad(rig.indices, spare),
+        logits,
+        ADAM.init(logits),
+        per_photo.zeros(poses, 3 * len(rig.skeleton)),
+    )
+
+
+@partial(jax.jit, static_argnames=("recipe", "learned"), donate_argnames="state")
+def _step(
+    state: RigState, batch: Batch, settings: _Settings, recipe: Recipe, learned: Learned
+) -> tuple[RigState, Float[Array, ""]]:
+    background_key, noise_key = jax.random.split(jax.random.fold_in(settings.key, state.step))
+    background = recipe.background.sample(background_key)
+    kernels = backends.resolve(recipe.backend)
+    photo = photo_over(batch.photo, background)
+    pose = settings.which[batch.source.view]
+    low_pass = replace(recipe.low_pass, variance=recipe.low_pass.variance / batch.divisor**2)
+
+    def project_view(gaussians, logits, turns):
+        rig = replace(settings.rig, indices=state.indices, weights=jax.nn.softmax(logits, axis=1))
+        given = jax.tree.map(lambda leaf: leaf[pose], settings.poses)
+        joints = rig.skeleton.worlds(spun(given, turns.reshape(-1, 3)))
+        splats = project(skin(gaussians, rig, joints), batch.camera, low_pass=low_pass, backend=kernels)
+        return recipe.density.watch(splats), recipe.objective.prior(gaussians, settings.extent)
+
+    def image_loss(splats):
+        sums, alpha = composite(splats, splats.colors, backend=kernels)
+        return recipe.objective.loss(over(sums, alpha, background), photo, batch.mask, kernels.photometric)
+
+    parameters = state.gaussians, state.logits, state.turns.values[pose]
+    (splats, prior), pull_back = jax.vjp(project_view, *parameters)
+    loss, d_splats = jax.value_and_grad(image_loss)(splats)
+    good = jnp.isfinite(loss)
+    d_gaussians, d_logits, d_turns = jax.tree.map(
+        lambda leaf: jnp.where(good, leaf, 0), pull_back((d_splats, jnp.ones_like(prior)))
+    )
+    progress = state.step / recipe.steps
+    d_gaussians = optimizer.without_locked_bands(d_gaussians, state.step, recipe.sh.every)
+    reach = recipe.optimizer.reach(splats.depths, settings.extent)
+    rates = recipe.optimizer.rates.at(progress, reach, d_gaussians.sh.shape[1])
+    rates = jax.tree.map(lambda leaf: jnp.where(good, leaf, 0), rates)
+    gaussians, opt_state = optimizer.update(
+        state.gaussians, d_gaussians, state.opt_state, rates, recipe.optimizer.rule
+    )
+    gaussians = recipe.optimizer.noise(gaussians, rates.means[:, 0], settings.extent, noise_key)
+    fall = jnp.where(good, per_photo.log_linear(1.0, FINAL_RATE, progress), 0)
+    logits, weights_state, turns = state.logits, state.weights_state, state.turns
+    if learned.weight_rate:
+        direction, weights_state = ADAM.update(d_logits, weights_state)
+        logits = logits - learned.weight_rate * fall * direction
+    if learned.pose_rate:
+        turns = per_photo.updated(turns, pose, d_turns, learned.pose_rate * fall)
+    observed = recipe.density.observe(state.density_state, splats, d_splats)
+    return replace(
+        state,
+        step=state.step + 1,
+        gaussians=gaussians,
+        opt_state=opt_state,
+        density_state=jax.tree.map(partial(jnp.where, good), observed, state.density_state),
+        logits=logits,
+        weights_state=weights_state,
+        turns=turns,
+    ), loss
+
+
+def _refined(
+    state: RigState, count: int, refinement: int, extent: float, recipe: Recipe, key: Any
+) -> tuple[RigState, int]:
+    """Refines the scene; each new Gaussian has the joints and weights of its parent."""
+    gaussians, _ = without_broken(state.gaussians)
+    refined = recipe.density.refine(
+        state.density_state, gaussians, count, refinement, extent, jax.random.fold_in(key, refinement)
+    )
+    parent = refined.lineage.parent
+    moments = jax.tree.map(lambda leaf: leaf[parent] if leaf.ndim else leaf, state.weights_state)
+    return replace(
+        state,
+        gaussians=refined.gaussians,
+        opt_state=inherit(state.opt_state, refined.lineage, refined.gaussians, recipe.optimizer.rule),
+        density_state=refined.state,
+        indices=state.indices[parent],
+        logits=state.logits[parent],
+        weights_state=moments,
+    ), refined.count
+
+
+REFINED = {  # what to learn beside the Gaussians, by the name of the command's option
+    "none": Learned(),
+    "weights": Learned(weight_rate=WEIGHT_RATE),
+    "poses": Learned(pose_rate=POSE_RATE),
+    "poses+weights": Learned(POSE_RATE, WEIGHT_RATE),
+}
+
+
+def recipe_for(steps: int, max_gaussians: int, seed: int = 0) -> Recipe:
+    """Returns the recipe `default` at full resolution, without view-dependent colour."""
+    recipe = default(steps, max_gaussians)
+    return replace(recipe, resolution=Resolution(), sh=ShSchedule(degree=0), seed=seed)

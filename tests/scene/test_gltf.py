@@ -1,0 +1,207 @@
+"""Bodies and rigged scenes in .glb files: what other programs compute from them, and damaged ones."""
+
+import json
+import struct
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import splatax as sx
+from scene.skeletons import arm, bent, blended
+from splatax.demo.rigged import drawn_arm, moves_of
+from splatax.io.rigs import load_rigged, read_body, save_rigged
+from splatax.io.rigs.poses import Posing, read_poses, write_poses
+from splatax.io.rigs.writing import save_body
+from splatax.scene.binding import bind, covering
+from splatax.scene.rigged import RiggedScene
+
+TURN = np.diag([-1.0, -1.0, 1.0, 1.0])  # glTF's world to ours
+
+
+def json_of(path) -> dict:
+    contents = path.read_bytes()
+    return json.loads(contents[20 : 20 + struct.unpack("<I", contents[12:16])[0]])
+
+
+def changed(path, change) -> None:
+    """Rewrites the JSON of a .glb file."""
+    contents = path.read_bytes()
+    length = struct.unpack("<I", contents[12:16])[0]
+    gltf = json_of(path)
+    change(gltf)
+    text = json.dumps(gltf).encode()
+    text += b" " * (-len(text) % 4)
+    rest = contents[20 + length :]
+    head = struct.pack("<4sII", b"glTF", 2, 20 + len(text) + len(rest))
+    path.write_bytes(head + struct.pack("<I4s", len(text), b"JSON") + text + rest)
+
+
+def worlds_by_hand(gltf) -> np.ndarray:
+    """World transforms of all nodes, from the JSON alone."""
+    nodes, worlds = gltf["nodes"], {}
+    parents = {child: i for i, node in enumerate(nodes) for child in node.get("children", ())}
+
+    def world(i):
+        local = np.eye(4)
+        local[:3, :3] = Rotation.from_quat(nodes[i].get("rotation", [0, 0, 0, 1])).as_matrix()
+        local[:3, :3] *= np.array(nodes[i].get("scale", [1, 1, 1]))
+        local[:3, 3] = nodes[i].get("translation", [0, 0, 0])
+        if i not in worlds:
+            worlds[i] = world(parents[i]) @ local if i in parents else local
+        return worlds[i]
+
+    return np.stack([world(i) for i in range(len(nodes))])
+
+
+@pytest.fixture
+def body_file(tmp_path):
+    save_body(tmp_path / "body.glb", drawn_arm())
+    return tmp_path / "body.glb"
+
+
+@pytest.fixture
+def rigged_file(tmp_path):
+    body = drawn_arm()
+    save_rigged(tmp_path / "rigged.glb", RiggedScene(*covering(body, 50), body.clips))
+    return tmp_path / "rigged.glb"
+
+
+def test_joints_are_where_the_nodes_of_the_file_are(body_file):
+    skeleton = read_body(body_file).skeleton
+    by_hand = TURN @ worlds_by_hand(json_of(body_file))[: len(skeleton)]
+    np.testing.assert_allclose(skeleton.worlds(skeleton.rest), by_hand, atol=1e-6)
+
+
+def test_a_body_comes_back_as_it_was_saved(body_file):
+    body, again = drawn_arm(), read_body(body_file)
+    assert again.skeleton.names == body.skeleton.names
+    assert again.skeleton.parents == body.skeleton.parents
+    np.testing.assert_allclose(again.surface.vertices, body.surface.vertices, atol=1e-6)
+    np.testing.assert_array_equal(again.surface.triangles, body.surface.triangles)
+    pose, other = (b.clips["Wave"].pose(b.skeleton.rest, 0.7) for b in (body, again))
+    np.testing.assert_allclose(other.quats, pose.quats, atol=1e-6)
+    posed = again.surface.posed(moves_of(again, other))
+    np.testing.assert_allclose(posed, body.surface.posed(moves_of(body, pose)), atol=1e-5)
+
+
+@pytest.mark.parametrize("turned", [True, False], ids=["the frame of glTF", "a frame of its own"])
+def test_a_rigged_scene_moves_alike_after_saving_and_loading(tmp_path, turned):
+    gaussians, rig = blended(n=20, degree=1)
+    if turned:
+        body = drawn_arm()
+        gaussians, rig = covering(body, 60, sh_degree=1)
+    save_rigged(tmp_path / "a.glb", RiggedScene(gaussians, rig))
+    again = load_rigged(tmp_path / "a.glb")
+    bends = {name: jnp.array([0.1, 0.5, -0.3]) for name in rig.skeleton.names}
+    expected = RiggedScene(gaussians, rig).posed(rig.skeleton.turned(bends))
+    found = again.posed(again.rig.skeleton.turned(bends))
+    np.testing.assert_allclose(found.means, expected.means, atol=2e-5)
+    np.testing.assert_allclose(found.covariances, expected.covariances, atol=1e-5)
+    np.testing.assert_allclose(found.sh, expected.sh, atol=1e-5)
+
+
+def test_a_rigged_file_is_also_a_splat_file_in_the_bound_pose(rigged_file):
+    flat, rigged = sx.load(rigged_file), load_rigged(rigged_file).gaussians
+    np.testing.assert_array_equal(flat.means, rigged.means)
+
+
+def test_nodes_with_meshes_move_rigidly(body_file):
+    def without_skin(gltf):
+        del gltf["skins"], gltf["nodes"][3]["skin"]
+        gltf["nodes"][2]["children"] = [3]
+        gltf["scenes"][0]["nodes"] = [0]
+
+    rigid = body_file.with_name("rigid.glb")
+    rigid.write_bytes(body_file.read_bytes())
+    changed(rigid, without_skin)
+    body = read_body(rigid)
+    own = body.skeleton.index("skinned")
+    assert (body.surface.weights[:, 0] == 1).all()
+    assert (body.surface.indices[:, 0] == own).all()
+    place = TURN @ worlds_by_hand(json_of(rigid))[3]
+    vertices = read_body(body_file).surface.vertices @ TURN[:3, :3]  # as the file has them
+    np.testing.assert_allclose(body.surface.vertices, vertices @ place[:3, :3].T + place[:3, 3], atol=1e-5)
+
+
+def test_the_robot_stands_where_its_file_says(data):
+    path = data / "rigs" / "RobotExpressive.glb"
+    if not path.exists():
+        pytest.skip("no robot")
+    body = read_body(path)
+    assert len(body.clips) == 14
+    by_hand = worlds_by_hand(json_of(path))
+    nodes = {node.get("name"): i for i, node in enumerate(json_of(path)["nodes"])}
+    for name in ("Head", "Palm1L", "FootR", "HandR_1"):
+        if name in body.skeleton.names:
+            found = np.asarray(body.skeleton.worlds(body.skeleton.rest))[body.skeleton.index(name)]
+            np.testing.assert_allclose(found, TURN @ by_hand[nodes[name]], atol=2e-4)
+
+
+def test_a_scan_follows_the_nearest_surface(body_file):
+    body = read_body(body_file)
+    gaussians, exact = covering(body, 200, seed=5)
+    rig = bind(gaussians, body)
+    dense = np.zeros((2, 200, 3))
+    for row, other in zip(dense, (rig, exact), strict=True):
+        np.add.at(row, (np.arange(200)[:, None], np.asarray(other.indices)), np.asarray(other.weights))
+    assert np.abs(dense[0] - dense[1]).max() < 0.05
+    away = replace(gaussians, means=gaussians.means + 5)
+    with pytest.raises(sx.InputError, match="do not fit together"):
+        bind(away, body)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            lambda g: g["animations"][0]["samplers"][0].update(interpolation="SINE"),
+            "clip Wave moves a rotation",
+        ),
+        (lambda g: g["accessors"][g["skins"][0]["inverseBindMatrices"]].update(count=2), "inverse bind"),
+        (lambda g: g["nodes"][1].update(children=[0]), "circle"),
+        (lambda g: g["nodes"][0].update(scale=[0, 1, 1]), "sheared, mirrored or scaled to zero"),
+        (lambda g: (g.pop("skins"), g["nodes"].pop()), "nothing in it can move"),
+        (lambda g: g["accessors"][0].update(count=10**6), "truncated"),
+    ],
+)
+def test_files_that_cannot_be_right_are_refused_by_name(body_file, change, message):
+    changed(body_file, change)
+    with pytest.raises(sx.FormatError, match=message) as caught:
+        read_body(body_file)
+    assert str(body_file) in str(caught.value)
+
+
+def test_splats_without_a_skin_are_refused(tmp_path):
+    gaussians, _ = blended(n=5)
+    sx.save(tmp_path / "plain.glb", gaussians)
+    with pytest.raises(sx.FormatError, match=r"plain\.glb: 0 meshes of splats with a skin"):
+        load_rigged(tmp_path / "plain.glb")
+
+
+def test_poses_come_back_from_their_file(tmp_path):
+    skeleton = arm()
+    posing = Posing({"a": bent(skeleton), "b": skeleton.rest}, {"0.png": "a", "1.png": "b"})
+    write_poses(tmp_path / "poses.json", posing, skeleton)
+    again = read_poses(tmp_path / "poses.json", skeleton, {})
+    assert again.pose_of == posing.pose_of
+    for name, pose in posing.poses.items():
+        np.testing.assert_allclose(skeleton.worlds(again.poses[name]), skeleton.worlds(pose), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("written", "message"),
+    [
+        ({"poses": {}}, "needs"),
+        ({"poses": {"a": {"rotations": {"tail": [0, 0, 0, 1]}}}, "photos": {}}, "tail, which is no joint"),
+        ({"poses": {"a": {"rotations": {"bone 0": [0, 0, 0, 0]}}}, "photos": {}}, "not all zero"),
+        ({"poses": {"a": {"clip": "Jump"}}, "photos": {}}, "clip Jump"),
+        ({"poses": {}, "photos": {"0.png": "a"}}, "has the pose a, which is not in it"),
+    ],
+)
+def test_poses_of_another_body_are_refused(tmp_path, written, message):
+    (tmp_path / "poses.json").write_text(json.dumps(written))
+    with pytest.raises(sx.FormatError, match=message):
+        read_poses(tmp_path / "poses.json", arm(), {})

@@ -1,0 +1,89 @@
+"""Pages that play a clip: the numbers that they hold, and what a browser draws of them."""
+
+import base64
+import io
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from PIL import Image
+
+import splatax as sx
+from splatax import web
+from splatax.demo.rigged import camera_around, drawn_arm
+from splatax.scene.binding import covering
+from splatax.scene.rigged import RiggedScene
+from splatax.transforms import Similarity
+from splatax.web.skinned import TO_VIEWER, packed
+
+SIZE = 240
+TIMES = (0.0, 0.25, 0.5, 0.9, 1.5)  # seconds
+LIKE = 32.0  # dB
+
+
+def scene() -> RiggedScene:
+    body = drawn_arm()
+    gaussians, rig = covering(body, 3000, opacity=0.9)
+    stripes = np.sin(np.asarray(gaussians.means) * [9, 7, 8])
+    gaussians = replace(gaussians, sh=jnp.asarray(1.2 * stripes[:, None], jnp.float32))
+    return RiggedScene(gaussians, rig, body.clips)
+
+
+def test_weights_of_eight_bits_sum_to_one_and_are_off_by_less_than_one_level():
+    rng = np.random.default_rng(0)
+    weights = np.concatenate([rng.dirichlet(np.full(4, 0.3), 500), [[1, 0, 0, 0], [0.5, 0.5, 0, 0]]])
+    indices = np.stack([rng.permutation(200)[:4] for _ in weights])
+    rows = packed(indices, weights)
+    assert rows.dtype == np.dtype("<u2")
+    assert ((rows & 255).sum(axis=1) == 255).all()
+    found = np.zeros((len(weights), 256))
+    np.add.at(found, (np.arange(len(weights))[:, None], rows >> 8), rows & 255)
+    np.add.at(found, (np.arange(len(weights))[:, None], indices), -255 * weights)
+    assert np.abs(found).max() < 1
+
+
+def test_bones_move_the_splats_of_the_viewer_as_the_skin_moves_those_of_the_world():
+    rigged = scene()
+    place = Similarity.of(degrees=(10.0, 20.0, 30.0), scale=2.0, move=(1.0, -2.0, 0.5))
+    motion = web.Motion(rigged.rig, rigged.clips["Wave"])
+    described = motion.described(place, np.arange(len(rigged.gaussians)), "page")
+    bones = np.frombuffer(base64.b64decode(described["bones"]), "<f4").reshape(-1, described["joints"], 12)
+    assert len(bones) == 121  # 2 seconds
+    skin = np.frombuffer(base64.b64decode(described["skin"]), "<u2").reshape(-1, 4)
+    frame = 15
+    columns = np.einsum("nk,nkc->nc", (skin & 255) / 255, bones[frame][skin >> 8]).reshape(-1, 4, 3)
+    before = np.asarray(place.transform(rigged.gaussians).means) @ TO_VIEWER[:3, :3]
+    moved = np.einsum("ni,nij->nj", before, columns[:, :3]) + columns[:, 3]
+    after = place.transform(rigged.at("Wave", frame / 60)).means @ TO_VIEWER[:3, :3].astype(np.float32)
+    np.testing.assert_allclose(moved, after, atol=0.02)  # levels of the weights
+
+
+@pytest.mark.slow
+def test_a_page_shows_what_our_renderer_draws_at_all_times_of_the_clip(open_page, tmp_path, viewer):
+    rigged, body = scene(), drawn_arm()
+    camera = camera_around(body, 0.3, 0.2, SIZE)
+    web.save(
+        tmp_path / "wave.html",
+        rigged.gaussians,
+        title="wave",
+        cameras={"view": camera},
+        background=(1.0, 1.0, 1.0),
+        motion=web.Motion(rigged.rig, rigged.clips["Wave"]),
+    )
+    tab = open_page(tmp_path / "wave.html", (SIZE, SIZE))  # asks for reduced motion, so the clip is paused
+    tab.settle()
+    tab.tell("document.body.classList.add('bare')")
+    scores = []
+    for time in TIMES:
+        tab.tell(f"(viewer.settled = false, viewer.stage.animation.show({time}))")
+        tab.settle()
+        with Image.open(io.BytesIO(tab.tab.screenshot())) as image:
+            shown = np.asarray(image.convert("RGB"), np.float32) / 255
+        drawn = sx.render(rigged.at("Wave", time), camera, background=sx.WHITE).rgb
+        scores.append(float(-10 * np.log10(np.mean((shown - np.clip(drawn, 0, 1)) ** 2))))
+    print("dB at each time:", [round(score, 1) for score in scores])
+    assert min(scores) > LIKE
+    assert tab.errors == []
+    tab.tell("viewer.animate()")
+    tab.wait_for(f"viewer.stage.animation.time !== {TIMES[-1]}")

@@ -1,0 +1,47 @@
+// Splats that follow bones: a clip that plays in a loop.
+import { SplatSkinning } from '@sparkjsdev/spark';
+
+const VALUES = 12; // of a bone's transform: three columns and the translation
+const ROW = 16; // values of a bone in Spark's texture
+
+const decoded = (base64) => Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0)).buffer;
+
+export class Animation {
+  time = 0; // seconds in the clip
+  playing = true;
+
+  /** Spark's linear blend applies rest^-1 times bone, so the rest is the identity and bones are whole transforms. */
+  constructor(mesh, { seconds, fps, joints, bones, skin }) {
+    Object.assign(this, { seconds, fps, joints, bones: new Float32Array(decoded(bones)) });
+    this.skinning = new SplatSkinning({ mesh, numBones: joints, mode: 'linear_blend' });
+    this.skinning.skinData.set(new Uint16Array(decoded(skin)));
+    this.skinning.skinTexture.needsUpdate = true;
+    mesh.skinning = this.skinning;
+    mesh.updateGenerator();
+    this.show(0);
+  }
+
+  /** Advances the clip if it plays, and returns whether the picture changes. */
+  advance(seconds) {
+    if (!this.playing || !this.seconds) return false;
+    this.show((this.time + seconds) % this.seconds);
+    return true;
+  }
+
+  /** Poses the splats as at a time of the clip. */
+  show(time) {
+    this.time = time;
+    const last = this.bones.length / (VALUES * this.joints) - 1;
+    const place = Math.min(Math.max(time * this.fps, 0), last);
+    const frame = Math.min(Math.floor(place), Math.max(last - 1, 0));
+    const after = Math.min(frame + 1, last);
+    const share = place - frame;
+    for (let joint = 0; joint < this.joints; joint++) {
+      for (let i = 0; i < VALUES; i++) {
+        const at = (f) => this.bones[(f * this.joints + joint) * VALUES + i];
+        this.skinning.boneData[joint * ROW + i] = (1 - share) * at(frame) + share * at(after);
+      }
+    }
+    this.skinning.updateBones();
+  }
+}

@@ -19,7 +19,7 @@ from splatax.cli.train_options import Limits, Live, Method, Photos, Rerun, Savin
 from splatax.cli.view import audience
 from splatax.errors import InputError
 from splatax.io.datasets.colmap_writing import PLACE
-from splatax.report.training import pages
+from splatax.report.training import Pages
 from splatax.runs.budget import DEFAULT_BUDGET, Changes, Clock, Expected, parse_seconds
 from splatax.runs.checkpoints import Checkpoints
 from splatax.runs.claim import claimed_for_run
@@ -226,7 +226,7 @@ def told_how_to_finish(out: Path) -> Iterator[None]:
 
 def write(results: Results, checkpoints: Checkpoints) -> None:
     """Writes the results of a run and prints where they are."""
-    scores, history, out = conclude(results, checkpoints, pages), results.history, results.out
+    scores, history, out = conclude(results, checkpoints, Pages()), results.history, results.out
     if results.refines_cameras:
         say(f"cameras {out / 'refined' / PLACE}")
     if history.bad_steps or history.broken:

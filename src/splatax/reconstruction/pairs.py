@@ -1,8 +1,8 @@
 """Selects the pairs of photos to match: all pairs, pairs of similar photos, or neighbours in a video.
 
-The similarity of two photos is the number of their largest features that match. It is counted for all pairs
-of up to `COMPARED` photos, and in larger sets only for photos that an index of visual words suggests: counting
-it for all pairs of 5,000 photos would take more than an hour.
+The similarity of two photos is the number of their largest features that match. It is counted for all
+pairs of up to `COMPARED` photos, and in larger sets only for photos that an index of visual words suggests:
+all pairs of 5,000 photos would take more than an hour.
 """
 
 from collections.abc import Iterable
@@ -24,7 +24,7 @@ RATIO = 0.8  # limit of the ratio of distances to the best and second best match
 FEWEST = 4  # matches that two similar photos have at least
 BLOCK = 64  # photos that one photo is compared with at a time
 COMPARED = 300  # photos of which all pairs are compared, which takes 15 seconds on one core
-SUGGESTED = 2  # photos to compare for each one that is looked for, in larger sets
+SPARE = 10  # photos to compare, more than are looked for, in larger sets
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def alike(database: "pycolmap.Database", ids: list[int], neighbours: int) -> set
     if len(ids) <= COMPARED:
         candidates = [every[i + 1 :] for i in every]
     else:
-        candidates = suggested(features, SUGGESTED * neighbours)
+        candidates = suggested(features, neighbours + SPARE)
     found: list[list[tuple[float, int]]] = [[] for _ in ids]  # (minus the number of matches, photo)
     for i, others in enumerate(candidates):
         for start in range(0, len(others), BLOCK):

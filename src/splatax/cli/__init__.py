@@ -11,6 +11,7 @@ import tyro
 
 import splatax
 from splatax.cli.bench import Bench
+from splatax.cli.cache import Cache
 from splatax.cli.compare import Compare
 from splatax.cli.compose import Compose
 from splatax.cli.create import Create
@@ -45,6 +46,7 @@ COMMANDS = {
     "compose": Compose,
     "demo": Demo,
     "bench": Bench,
+    "cache": Cache,
     "doctor": Doctor,
 }
 REFUSED = 2  # exit code

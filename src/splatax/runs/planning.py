@@ -102,7 +102,7 @@ def gaussians_here(dataset: Dataset) -> int | float:
 def decoding_memory(dataset: Dataset) -> int:
     """Returns the bytes that reading one photo ahead takes, for the largest: decoding it, and the photo."""
     sizes = [
-        (view.pixels.memory if isinstance(view.pixels, PhotoDecoder) else 0)
+        (view.pixels.stored.memory if isinstance(view.pixels, PhotoDecoder) else 0)
         + 3 * view.camera.width * view.camera.height
         for view in dataset.train
     ]

@@ -105,8 +105,8 @@ def batch(
     landmarks: Float[np.ndarray, "k 3"] | None = None,
 ) -> Batch:
     """Copies a view to the device."""
-    mask, landmarks = (None if rows is None else jnp.asarray(rows) for rows in (mask, landmarks))
-    return Batch(camera, jnp.asarray(photo), mask, source, divisor, landmarks)
+    inside, points = (None if rows is None else jnp.asarray(rows) for rows in (mask, landmarks))
+    return Batch(camera, jnp.asarray(photo), inside, source, divisor, points)
 
 
 def landmarks_of(views: Sequence[View]) -> Float[np.ndarray, "views k 3"] | None:

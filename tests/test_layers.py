@@ -9,7 +9,7 @@ import splatax
 
 ROOT = Path(splatax.__file__).parent
 LAYERS = (  # lowest first; a package stands for all its modules
-    {"math", "errors", "packages", "shapes", "splits", "varying", "low_pass"},
+    {"ahead", "math", "errors", "packages", "shapes", "splits", "varying", "low_pass"},
     {"gaussians", "splats", "cameras", "dataset", "resampling", "scene", "transforms"},
     {"footprints", "projection", "surfaces", "sky", "losses", "metrics", "lpips", "io"},
     {"backends"},

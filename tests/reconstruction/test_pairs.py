@@ -7,6 +7,7 @@ import pytest
 from splatax.reconstruction import mapping
 from splatax.reconstruction import pairs as pairs_module
 from splatax.reconstruction.pairs import FEATURES, Exhaustive, Sequential, Similar, following
+from splatax.reconstruction.visual_words import suggested
 
 
 @pytest.fixture
@@ -60,3 +61,25 @@ def test_frames_are_paired_with_the_next_and_with_some_far_on(database):
 @pytest.mark.parametrize("count", [0, 1, 3])
 def test_no_pair_reaches_beyond_the_last(count):
     assert all(j < count for _, j in following(count, range(1, 9)))
+
+
+def test_the_index_of_a_large_set_finds_the_pairs_that_comparing_all_photos_finds(database, monkeypatch):
+    """Photos of five places in turn, in which no feature looks the same twice."""
+    rng = np.random.default_rng(0)
+    places = rng.integers(0, 255, (5, FEATURES, 128))
+    ids = fill(database, [None] * 40)
+    shown = [np.clip(places[i % 5] + rng.normal(0, 12, (FEATURES, 128)), 0, 255) for i in range(40)]
+    features = dict(zip(ids, (f / np.linalg.norm(f, axis=1, keepdims=True) for f in shown), strict=True))
+    monkeypatch.setattr(pairs_module, "largest", lambda _, image: features[image].astype(np.float32))
+    compared = Similar(neighbours=7, following=0).pairs(database, ids)
+    monkeypatch.setattr(pairs_module, "COMPARED", 10)
+    assert Similar(neighbours=7, following=0).pairs(database, ids) == compared
+    assert compared == [(i, j) for i in range(40) for j in range(i + 5, 40, 5)]
+
+
+def test_the_index_suggests_a_few_photos_of_many_and_knows_nothing_of_empty_ones():
+    rng = np.random.default_rng(0)
+    features = [np.zeros((4, 128), np.float32), *rng.random((5, 4, 128)).astype(np.float32)]
+    found = suggested([*features, *features[1:]], 1)
+    assert [others.tolist() for others in found[:6]] == [[], [6], [7], [8], [9], [10]]
+    assert not any(len(others) for others in suggested([features[0]] * 3, 2))

@@ -9,8 +9,10 @@ import pytest
 from numpy.testing import assert_array_equal
 from PIL import Image, ImageSequence
 
+from report.galleries import gallery_of
 from splatax.evaluation import Scores, ViewScore
 from splatax.report.curves import smoothed, training_curves
+from splatax.report.gallery import Gallery
 from splatax.report.page import Account, report
 from splatax.report.pictures import LABEL_HEIGHT, LARGEST_ERROR, animation, data_uri, depth_map, error_map
 from splatax.runs.history import Evaluation, History
@@ -72,7 +74,9 @@ def page():
         Comparison(ViewScore(name, psnr, 0.9, psnr + 1), GRAY, GRAY)
         for name, psnr in (("good.png", 30.0), ("worst.png", 10.0), ("fair.png", 20.0))
     ]
-    return report("A & <b>", Account({"Gaussians": "12"}, ["9 photos"]), history, comparisons, b"GIF89a")
+    return report(
+        "A & <b>", Account({"Gaussians": "12"}, ["9 photos"]), history, gallery_of(comparisons), b"GIF89a"
+    )
 
 
 def test_the_page_needs_nothing_else(page):
@@ -90,6 +94,23 @@ def test_test_psnr_has_a_plot_if_it_has_a_curve(count, plots):
 
 def test_worst_views_come_first(page):
     assert re.findall(r"<b>(\w+).png</b>", page) == ["worst", "fair", "good"]
+
+
+def test_a_report_shows_the_worst_views_and_the_best_and_lists_all():
+    psnrs = np.random.default_rng(0).permutation(60) + 10.0
+    gallery = gallery_of(
+        [Comparison(ViewScore(f"{psnr:.0f}.png", psnr, 0.9, psnr), GRAY, GRAY) for psnr in psnrs], most=4
+    )
+    page = report("many", Account({}), History(losses=[0.5], counts=[10]), gallery, b"")
+    assert re.findall(r"<b>(\d+).png</b>", page) == ["10", "11", "12", "13"]
+    assert gallery.best.score.name == "69.png"
+    assert re.findall(r"<td>(\d+).png</td>", page) == [str(number) for number in range(10, 70)]
+
+
+def test_pictures_of_a_report_end_where_their_room_ends():
+    comparisons = [Comparison(ViewScore(str(i), 10.0 + i, 0.9, 10.0), GRAY, GRAY) for i in range(5)]
+    size = gallery_of(comparisons).worst[0].size
+    assert [exhibit.score.name for exhibit in gallery_of(comparisons, room=2 * size).worst] == ["0", "1"]
 
 
 def test_the_worst_view_is_marked_and_colour_corrected_psnr_shown(page):
@@ -111,5 +132,5 @@ def test_text_is_escaped(page):
 
 
 def test_a_run_of_one_step_without_test_views_has_a_page_too():
-    page = report("one", Account({}), History(losses=[0.5], counts=[10]), [], b"")
+    page = report("one", Account({}), History(losses=[0.5], counts=[10]), Gallery(), b"")
     assert "Training progress" not in page

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 import splatax as sx
+from report.galleries import gallery_of
 from splatax.evaluation import ViewScore
-from splatax.report.next_photos import ISOLATED, spacing_of, spots_of
+from splatax.report.next_photos import ISOLATED, spacings, spots_of
 from splatax.report.page import Account, report
 from splatax.report.plan import places
 from splatax.report.verdict import verdict_of
@@ -30,7 +31,7 @@ def judged(dataset, psnrs, gain=0.2, images=None):
         Comparison(ViewScore(view.name, psnr, 0.9, psnr + gain), NOISE, (images or {}).get(view.name, NOISE))
         for view, psnr in zip(dataset.test, psnrs, strict=True)
     ]
-    return verdict_of(dataset, comparisons)
+    return verdict_of(dataset, gallery_of(comparisons))
 
 
 def test_a_good_scene_is_called_good_and_nothing_is_bad(dataset):
@@ -108,8 +109,8 @@ def test_a_photo_far_from_the_others_is_told_so(dataset):
     alone = without_sector(dataset, 10, 100)
     lost = [view for view in dataset.views if view not in alone.views]
     middle = min(lost, key=lambda view: abs(azimuth(view) - 55))
-    assert spacing_of(replace(alone, test=(middle,)), middle.name) > ISOLATED
-    assert spacing_of(dataset, middle.name) < ISOLATED
+    assert spacings(replace(alone, test=(middle,)))[middle.name] > ISOLATED
+    assert spacings(dataset)[middle.name] < ISOLATED
 
 
 def test_the_report_begins_with_words_and_ends_with_numbers(dataset):
@@ -118,7 +119,8 @@ def test_the_report_begins_with_words_and_ends_with_numbers(dataset):
     )
     picture = places(dataset, verdict.matched, verdict.spots)
     history = History(losses=[0.5, 0.4], counts=[10, 12])
-    page = report("a scene", Account({"PSNR": "26 dB"}, ["24 photos"], verdict, picture), history, [], b"")
+    account = Account({"PSNR": "26 dB"}, ["24 photos"], verdict, picture)
+    page = report("a scene", account, history, gallery_of([]), b"")
     heads = re.findall(r"<h2>(.*?)</h2>", page)
     assert heads == [
         "What is good",

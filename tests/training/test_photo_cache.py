@@ -1,5 +1,6 @@
 """Photos are kept while there is room, and the order and contents of batches do not depend on it."""
 
+import time
 from collections import Counter
 from dataclasses import replace
 from itertools import islice
@@ -58,6 +59,42 @@ def test_batches_are_the_same_with_and_without_room(resolution):
     for one, other in zip(with_room, without, strict=True):
         for first, second in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
             np.testing.assert_array_equal(first, second)
+
+
+class Lengthened(Resolution):
+    """Half size until a step that was not known when the photos were read ahead."""
+
+    last = 4
+
+    def divisor(self, step, size):
+        return 2 if step <= self.last else 1
+
+
+def test_photos_that_were_read_ahead_at_another_size_are_read_again():
+    resolution = Lengthened()
+    sizes = []
+    for i, batch in enumerate(islice(batches(capture().train, 3, 0, resolution), 12)):
+        sizes.append(batch.divisor)
+        assert batch.photo.shape[1] == SIZE[0] // batch.divisor == batch.camera.width
+        if i == 2:
+            object.__setattr__(resolution, "last", 8)
+    assert sizes == [2] * 8 + [1] * 4
+
+
+def test_slow_photos_come_in_their_order():
+    def slow(i, view):
+        def pixels():
+            time.sleep(0.02 * (i % 3))
+            return view.pixels()
+
+        return replace(view, pixels=pixels)
+
+    views = capture().train
+    plain = islice(batches(views, 3), 12)
+    late = islice(batches([slow(*each) for each in enumerate(views)], 3, room=0), 12)
+    for one, other in zip(plain, late, strict=True):
+        assert one.source.view == other.source.view
+        np.testing.assert_array_equal(one.photo, other.photo)
 
 
 def test_a_photo_that_cannot_be_read_ends_the_run_with_its_name():

@@ -12,7 +12,7 @@ import splatax as sx
 from scenes import camera_at
 from splatax.demo.capture import write_capture
 from splatax.training.optimizer import LearningRates
-from splatax.training.recipes import PRESETS, ShSchedule, rates_for, room_for
+from splatax.training.recipes import PRESETS, ShSchedule, rates_for, room_for, steps_for
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -95,6 +95,9 @@ def test_room_grows_with_pixels_and_with_the_root_of_the_number_of_photos():
     assert room_for(photos(1, (400, 200))) == 10_000
     assert_allclose(room_for(photos(9, (400, 200))), 30_000, atol=1)
     assert room_for(photos(100, (4000, 3000))) == 1_000_000
+    assert room_for(photos(5000, (4000, 3000))) == 5_000_000
+    assert steps_for(photos(1000, (400, 200))) == 30_000
+    assert steps_for(photos(5000, (400, 200))) == 150_000
 
 
 @pytest.mark.slow

@@ -13,6 +13,7 @@ import splatax
 from splatax.cli.animate import Animate
 from splatax.cli.bench import Bench
 from splatax.cli.bind import Bind
+from splatax.cli.cache import Cache
 from splatax.cli.compare import Compare
 from splatax.cli.compose import Compose
 from splatax.cli.create import Create
@@ -53,6 +54,7 @@ COMMANDS = {
     "animate": Animate,
     "demo": Demo,
     "bench": Bench,
+    "cache": Cache,
     "doctor": Doctor,
 }
 REFUSED = 2  # exit code

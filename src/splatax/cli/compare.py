@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import tyro
-from rich.progress import track
+from rich.progress import Progress
 from rich.table import Column, Table
 
 import splatax as sx
@@ -26,6 +26,7 @@ from splatax.dataset import mask_of
 from splatax.errors import InputError
 from splatax.evaluation import photo_of, picture
 from splatax.io.files import write_whole
+from splatax.report.gallery import MOST
 from splatax.report.side_by_side import Curve, Lineup, Row, side_by_side
 from splatax.runs.budget import duration
 from splatax.runs.claim import claimed
@@ -63,10 +64,16 @@ class Compare:
         rows = rows_of(runs)
         show(table_of(runs, rows))
         backend = resolve_backend(self.backend)
-        lineups = [
-            lineup(runs, models, views[0][name], backend) for name in track(runs[0].test_psnr, "rendering")
-        ]
-        page = side_by_side([run.name for run in runs], rows, [curve_of(run) for run in runs], lineups)
+        names, curves = [run.name for run in runs], [curve_of(run) for run in runs]
+        psnrs = {name: [run.test_psnr[name] for run in runs] for name in runs[0].test_psnr}
+        with Progress(transient=True) as progress:
+            task = progress.add_task("rendering", total=min(len(psnrs), MOST))
+
+            def drawn(name: str) -> Lineup:
+                progress.advance(task)
+                return lineup(runs, models, views[0][name], backend)
+
+            page = side_by_side(names, rows, curves, psnrs, drawn)
         with claimed(out):
             write_whole(out / "compare.html", page.encode())
         say(f"compare {out / 'compare.html'}")

@@ -16,10 +16,11 @@ from splatax.io.datasets.photos import counted, listed
 from splatax.io.datasets.points import read_points, write_points
 from splatax.reconstruction import triangulation
 from splatax.runs.budget import Expected, duration, measured, plan
-from splatax.runs.planning import Deadline, Room, smaller_photos
+from splatax.runs.planning import Deadline, Room, gaussians_here, smaller_photos
 from splatax.splits import Listed, listed_in
 from splatax.training.camera_refinement import check_lenses
 from splatax.training.initialize import InFrusta, focus_distance
+from splatax.training.recipes import MOST, PRESETS, detail_of, most_for, room_for
 
 MOST_LEFT_OUT = 0.5  # of the training photos that are left out
 POINTS = "points.ply"  # in the folder of a run that had to find its points
@@ -126,6 +127,10 @@ def planned(
         )
     most = settings.most(dataset)
     fit = int(min(most, room.gaussians))
+    if asked is None and fit > MOST:
+        fit = int(max(min(fit, gaussians_here(dataset)), MOST))
+    if asked is None and (limited := limited_detail(settings, dataset, fit)):
+        say(limited)
     if settings.seconds is None:
         return (settings if fit == most else replace(settings, max_gaussians=fit)), dataset, None
     say("measuring the speed of this machine ...")
@@ -154,6 +159,17 @@ def planned(
     downscale, dataset = smaller
     say(f"too few steps for photos of this size: --downscale {downscale}")
     return planned(replace(settings, downscale=downscale), dataset, room, deadline)
+
+
+def limited_detail(settings: Settings, dataset: sx.Dataset, fit: int) -> str:
+    """Returns a line for captures with detail for more Gaussians than the run may have; empty for others."""
+    detail = detail_of(dataset)
+    if PRESETS[settings.recipe].max_gaussians is not room_for or fit >= detail:
+        return ""
+    way_out = "Choose another number: --max-gaussians"
+    if fit < most_for(dataset):
+        way_out = "More need more memory" + (f" than --memory {settings.memory}" if settings.memory else "")
+    return f"at most {fit:,} Gaussians, though the photos may have detail for {detail:,}. {way_out}"
 
 
 def spared_by(findings: Findings) -> tuple[list[str], list[str]]:

@@ -17,21 +17,25 @@ from splatax.cli.preparing import loaded, planned, prepared
 from splatax.cli.settings import NAMES, Settings, as_started
 from splatax.cli.train_options import Limits, Live, Method, Photos, Rerun, Saving
 from splatax.cli.view import audience
+from splatax.dataset import Dataset
 from splatax.errors import InputError
 from splatax.io.datasets.colmap_writing import PLACE
-from splatax.report.training import pages
+from splatax.io.datasets.photos import counted
+from splatax.io.memory import decoding
+from splatax.report.training import Pages
 from splatax.runs.budget import DEFAULT_BUDGET, Changes, Clock, Expected, parse_seconds
 from splatax.runs.checkpoints import Checkpoints
 from splatax.runs.claim import claimed_for_run
 from splatax.runs.finished import finished, read_runs
 from splatax.runs.history import History
+from splatax.runs.keeping import with_photos_kept
 from splatax.runs.planning import Deadline, gigabytes, room_within
 from splatax.runs.records import understood
 from splatax.runs.results import Results, conclude
 from splatax.runs.resume import OTHER, Earlier, facts, find
 from splatax.runs.session import Session, all_made
 from splatax.training.loop import RunState
-from splatax.training.recipes import PRESETS
+from splatax.training.recipes import PRESETS, steps_for
 
 MAY_CHANGE = {"scene", "points", "judged_by", "title", "checkpoint_every", "checkpoint_steps"}  # on resuming
 NOT_REPEATED = {"out": None, "overwrite": False, "budget": None}  # a plan is repeated as it was made
@@ -148,10 +152,16 @@ class Train:
             room = room_within(settings.memory_bytes, dataset, settings.initialization().number(dataset))
             if settings.memory_bytes:
                 say(f"within {gigabytes(settings.memory_bytes)}: {room}")
+            decoding.limit = room.decoding
+            if not (earlier or self.rerun.repeat or settings.budget or self.limits.steps):
+                settings = with_steps(settings, dataset)
             expected = None
             if earlier is None:
                 settings, dataset, expected = planned(settings, dataset, room, deadline)
             recipe = settings.to_recipe(dataset)
+            reading, kept = with_photos_kept(dataset, room)
+            if kept:
+                say(kept)
             checkpoints = Checkpoints(
                 out,
                 facts(asdict(settings), recipe, dataset),
@@ -160,7 +170,7 @@ class Train:
                 earlier=earlier.path if earlier else None,
             )
             session = Session(
-                dataset,
+                reading,
                 recipe,
                 checkpoints,
                 history,
@@ -207,6 +217,15 @@ class Train:
         return session.last
 
 
+def with_steps(settings: Settings, dataset: Dataset) -> Settings:
+    """Returns settings with a number of steps that follows the number of photos, and prints it if it does."""
+    steps = steps_for(dataset)
+    if steps > settings.steps:
+        each = f"{steps // len(dataset.train)} for each of {counted(len(dataset.train))}"
+        say(f"{steps:,} steps, {each}. Choose another number: --steps")
+    return replace(settings, steps=steps)
+
+
 def pace(settings: Settings, history: History, expected: Expected | None) -> Changes:
     """Returns what may change the number of steps during the run."""
     if settings.seconds is None:
@@ -226,7 +245,7 @@ def told_how_to_finish(out: Path) -> Iterator[None]:
 
 def write(results: Results, checkpoints: Checkpoints) -> None:
     """Writes the results of a run and prints where they are."""
-    scores, history, out = conclude(results, checkpoints, pages), results.history, results.out
+    scores, history, out = conclude(results, checkpoints, Pages()), results.history, results.out
     if results.refines_cameras:
         say(f"cameras {out / 'refined' / PLACE}")
     if history.bad_steps or history.broken:

@@ -10,6 +10,7 @@ from splatax.dataset import Dataset, View, mask_of
 from splatax.inspection.looks import Look, looks_of
 from splatax.io import images
 from splatax.runs import forecast
+from splatax.runs.planning import room_within
 from splatax.training.recipes import room_for
 
 LOOKING, MASKS = 5.0, 24  # seconds spent on photos; number of masks that are decoded
@@ -65,6 +66,8 @@ def examine(path: Path, dataset: Dataset | None) -> Examination:
         mask = mask_of(view)
         coverage[view.name] = 1.0 if mask is None else float(mask.mean())
     gaussians = room_for(dataset)
+    width, height, photos_bytes = forecast.photos(dataset)
+    in_memory = min(photos_bytes, room_within(None, dataset, 0).photos)
     return Examination(
         path,
         dataset,
@@ -73,7 +76,7 @@ def examine(path: Path, dataset: Dataset | None) -> Examination:
         {name: float(np.median(errors)) for name, errors in survey.errors.items()},
         coverage,
         gaussians,
-        forecast.memory(gaussians, *forecast.photos(dataset)),
+        forecast.memory(gaussians, width, height, round(in_memory)),
         available_memory(),
     )
 

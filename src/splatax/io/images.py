@@ -19,7 +19,9 @@ from splatax.dataset import Mask, Pixels
 from splatax.errors import DatasetError
 from splatax.io.damage import blamed_on
 from splatax.io.files import write_whole
+from splatax.io.levels import SIDEWAYS, eight_bits, orientation, turned
 from splatax.io.memory import machine_memory
+from splatax.resampling import resize
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -30,10 +32,8 @@ BYTES_PER_PIXEL = 8  # peak of `read`, measured at 144 megapixels: 4 in Pillow, 
 BYTES_OF_FORMAT = {"WEBP": 18, "TIFF": 12, "HEIF": 18}  # bytes per pixel of decoders that hold more copies
 BYTES_PER_COEFFICIENT = 2  # progressive JPEG keeps the coefficients of the full size, even for a draft
 MEMORY_SHARE = 4  # one photo may take the machine's memory divided by this
+BOX = 4  # Pillow's filter that takes the mean of an area
 DRAFTS = (1, 2, 4, 8)  # divisors of the size at which a JPEG can be decoded
-ROWS = 256  # rows of pixels that are converted at a time
-ORIENTATION, SIDEWAYS = 0x0112, (5, 6, 7, 8)  # EXIF tag, and its values for photos turned by 90 degrees
-BITS_PER_SAMPLE = 258  # TIFF tag
 
 _limit: int | None = None
 
@@ -82,7 +82,7 @@ def header_of(path: Path, *, upright: bool = False) -> Header:
     """
     with opened(path) as image:
         header = _fitting(path, image)
-        if upright and _orientation(image) in SIDEWAYS:
+        if upright and orientation(image) in SIDEWAYS:
             return Header(header.size[::-1], header.divisor)
         return header
 
@@ -92,7 +92,9 @@ def size_of(path: Path, *, upright: bool = False) -> tuple[int, int]:
     return header_of(path, upright=upright).size
 
 
-def read(path: Path, *, upright: bool = False, divisor: int | None = None) -> Pixels:
+def read(
+    path: Path, *, upright: bool = False, divisor: int | None = None, size: tuple[int, int] | None = None
+) -> Pixels:
     """Decodes a photo to 8-bit RGB, or RGBA where it has an alpha channel.
 
     Photos of 10 to 16 bits are scaled to 8.
@@ -101,13 +103,22 @@ def read(path: Path, *, upright: bool = False, divisor: int | None = None) -> Pi
         path: path of the photo.
         upright: apply the EXIF orientation.
         divisor: factor by which the photo is decoded smaller, from `header_of`. None computes it.
+        size: width and height to resize the decoded photo to; see `resampling.resize`. None keeps its size.
 
     Raises:
         DatasetError: if the file is not a photo, is damaged, has no 8-bit equivalent, or would not fit into
             memory.
     """
-    pixels, orientation = _decoded(path, divisor)
-    return np.ascontiguousarray(_turned(pixels, orientation if upright else 1))
+    with opened(path) as image:
+        header = _fitting(path, image) if divisor is None else Header(_divided(image.size, divisor), divisor)
+        if header.divisor > 1:
+            image.draft(None, header.size)
+        way_up = orientation(image) if upright else 1
+        if size and way_up == 1 and image.mode == "RGB" and not image.has_transparency_data:
+            image.load()  # resizing Pillow's own pixels saves two copies of the photo
+            return np.array(image.resize(size, BOX)) if size != image.size else eight_bits(path, image)
+        pixels = np.ascontiguousarray(turned(eight_bits(path, image), way_up))
+    return resize(pixels, *size) if size else pixels
 
 
 def glance(path: Path, side: int) -> Pixels:
@@ -123,7 +134,7 @@ def glance(path: Path, side: int) -> Pixels:
     with opened(path) as image:
         image.draft("RGB", (side, side))
         _fitting(path, image)
-        small = Image.fromarray(_eight_bits(path, image))
+        small = Image.fromarray(eight_bits(path, image))
         small.thumbnail((side, side), Image.Resampling.BOX)
         return np.array(small)
 
@@ -193,15 +204,6 @@ def _identified(path: Path, file: BinaryIO, what: str) -> "Image.Image":
     )
 
 
-def _decoded(path: Path, divisor: int | None) -> tuple[Pixels, int]:
-    """Returns the pixels as they are stored, and the EXIF orientation. Pillow's copy is freed."""
-    with opened(path) as image:
-        header = _fitting(path, image) if divisor is None else Header(_divided(image.size, divisor), divisor)
-        if header.divisor > 1:
-            image.draft(None, header.size)
-        return _eight_bits(path, image), _orientation(image)
-
-
 def _fitting(path: Path, image: "Image.Image") -> Header:
     """Returns the largest size at which an opened photo can be decoded within the memory limit.
 
@@ -232,68 +234,3 @@ def _memory(image: "Image.Image", size: tuple[int, int]) -> int:
 def _divided(size: tuple[int, int], divisor: int) -> tuple[int, int]:
     """Returns the size of a JPEG that is decoded smaller; it is rounded up."""
     return -(-size[0] // divisor), -(-size[1] // divisor)
-
-
-def _eight_bits(path: Path, image: "Image.Image") -> Pixels:
-    """Decodes an opened photo a few rows at a time, so that memory holds two copies of it instead of four."""
-    if image.mode in ("I", "F"):
-        kind = "32-bit whole" if image.mode == "I" else "floating-point"
-        raise DatasetError(
-            f"{path}: it holds {kind} numbers, which do not say what is white. Save the photo with 8 or 16 "
-            "bits a channel."
-        )
-    image.load()
-    width, height = image.size
-    alpha = image.has_transparency_data
-    pixels = np.empty((height, width, 4 if alpha else 3), np.uint8)
-    for top in range(0, height, ROWS):
-        strip = image.crop((0, top, width, min(top + ROWS, height)))
-        if image.mode.startswith("I;16"):
-            pixels[top : top + ROWS] = _from_16_bits(image, np.asarray(strip), alpha)
-        else:
-            pixels[top : top + ROWS] = np.asarray(strip.convert("RGBA" if alpha else "RGB"))
-    return pixels
-
-
-def _from_16_bits(image: "Image.Image", levels: np.ndarray, alpha: bool) -> Pixels:
-    """Scales one grey channel of up to 16 bits, which Pillow would clip at 255, to 8-bit RGB or RGBA."""
-    bits = _bits(image)
-    white = (1 << bits) - 1
-    grey = (np.minimum(levels, white).astype(np.uint32) * 255 + white // 2) // white
-    channels = [grey.astype(np.uint8)] * 3
-    if alpha:  # a PNG may declare one level to be transparent
-        channels.append(np.where(levels == image.info["transparency"], np.uint8(0), np.uint8(255)))
-    return np.stack(channels, axis=2)
-
-
-def _bits(image: "Image.Image") -> int:
-    """Returns the bits of a grey level: 16, or the number in the tags of a TIFF."""
-    tags = getattr(image, "tag_v2", None)
-    return int(tags[BITS_PER_SAMPLE][0]) if tags is not None and BITS_PER_SAMPLE in tags else 16
-
-
-def _orientation(image: "Image.Image") -> int:
-    """Returns the EXIF orientation, from 1 to 8; 1 if there is none. Pillow turns TIFFs itself."""
-    found = 1 if image.format == "TIFF" else image.getexif().get(ORIENTATION)
-    return found if isinstance(found, int) else 1
-
-
-def _turned(pixels: Pixels, orientation: int) -> Pixels:
-    """Turns a photo upright, given its EXIF orientation (1 to 8)."""
-    match orientation:
-        case 2:
-            return pixels[:, ::-1]
-        case 3:
-            return pixels[::-1, ::-1]
-        case 4:
-            return pixels[::-1]
-        case 5:
-            return pixels.transpose(1, 0, 2)
-        case 6:
-            return np.rot90(pixels, -1)
-        case 7:
-            return pixels[::-1, ::-1].transpose(1, 0, 2)
-        case 8:
-            return np.rot90(pixels)
-        case _:
-            return pixels

@@ -14,6 +14,7 @@ LEAST = 20.0  # degrees that a gap has at least
 FLAT = 8.0  # degrees of elevation that cameras around a subject span, below which they are at one height
 MOST = 6  # spots
 ISOLATED = 1.4  # times the usual distance to the nearest training photo, from which a photo stands alone
+BLOCK = 256  # photos whose distances to all others are held at a time
 TURN = 1.0  # weight of the angle between directions, radians, beside distance as a fraction of the extent
 
 
@@ -43,33 +44,37 @@ def spots_of(dataset: Dataset, bad: Sequence[str]) -> list[Spot]:
     """
     cameras = {view.name: view.camera for view in dataset.views}
     spots = _gaps(dataset) if len(cameras) > 4 else []
+    apart = spacings(dataset) if bad else {}
     for name in bad:
-        if name in cameras and spacing_of(dataset, name) > ISOLATED:
+        if name in cameras and apart.get(name, 1.0) > ISOLATED:
             position = rig.positions_of([cameras[name]])[0]
             why = f"{name} is matched badly, and the other photos are far from it."
             spots.append(Spot(position, why, "Take two or three photos on each side of it.", False))
     return spots[:MOST]
 
 
-def spacing_of(dataset: Dataset, name: str) -> float:
-    """Returns how far a photo's nearest training photo is, in multiples of the usual distance; 1 if unknown.
+def spacings(dataset: Dataset) -> dict[str, float]:
+    """Returns how far each photo's nearest training photo is, in multiples of the usual distance, by name.
 
     The distance of two photos counts the way between them, as a fraction of the extent, and the angle
-    between their directions.
+    between their directions. The result is empty if there are fewer than three training photos, or the usual
+    distance is zero.
     """
-    names = [view.name for view in dataset.views]
-    if name not in names or len(dataset.train) < 3:
-        return 1.0
-    cameras = [view.camera for view in dataset.views]
+    if len(dataset.train) < 3:
+        return {}
+    views, tested = dataset.views, {view.name for view in dataset.test}
+    cameras = [view.camera for view in views]
+    trained = np.array([view.name not in tested for view in views])
     positions, axes = rig.positions_of(cameras), rig.axes_of(cameras)
-    way = np.linalg.norm(positions[:, None] - positions, axis=2) / dataset.extent
-    turn = np.arccos(np.clip(axes @ axes.T, -1, 1))
-    apart = way + TURN * turn + np.diag(np.full(len(names), np.inf))
-    tested = {view.name for view in dataset.test}
-    trained = [i for i, each in enumerate(names) if each not in tested]
-    nearest = apart[:, trained].min(axis=1)
+    nearest = np.zeros(len(views))
+    for start in range(0, len(views), BLOCK):
+        rows = slice(start, start + BLOCK)
+        way = np.linalg.norm(positions[rows, None] - positions[trained], axis=2) / dataset.extent
+        apart = way + TURN * np.arccos(np.clip(axes[rows] @ axes[trained].T, -1, 1))
+        own = np.flatnonzero(trained)[None] == np.arange(start, start + len(apart))[:, None]
+        nearest[rows] = np.where(own, np.inf, apart).min(axis=1)
     usual = float(np.median(nearest[trained]))
-    return float(nearest[names.index(name)] / usual) if usual > 0 else 1.0
+    return {view.name: float(nearest[i] / usual) for i, view in enumerate(views)} if usual > 0 else {}
 
 
 def _gaps(dataset: Dataset) -> list[Spot]:

@@ -7,10 +7,10 @@ from typing import Any
 import jinja2
 
 from splatax.report.curves import training_curves
-from splatax.report.pictures import data_uri, encoded, error_map
+from splatax.report.gallery import Gallery
+from splatax.report.pictures import encoded
 from splatax.report.verdict import Verdict
 from splatax.runs.history import History
-from splatax.runs.results import Comparison
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ def report(
     title: str,
     account: Account,
     history: History,
-    comparisons: Sequence[Comparison],
+    gallery: Gallery,
     animation: bytes,
 ) -> str:
     """Returns the report of a run as one HTML file that refers to no other.
@@ -43,20 +43,10 @@ def report(
         title: of the run.
         account: what the report says before the curves and the pictures.
         history: record of the run.
-        comparisons: of the test views, or of training views where none are held out.
+        gallery: the test views, or training views where none are held out.
         animation: a GIF of the run; may be empty.
     """
-    worst_first = sorted(comparisons, key=lambda comparison: comparison.score.psnr)
-    views = [
-        {
-            "score": comparison.score,
-            "mask": comparison.mask is not None,
-            "photo": data_uri(comparison.photo),
-            "image": data_uri(comparison.image),
-            "error": data_uri(error_map(comparison.image, comparison.photo, comparison.mask)),
-        }
-        for comparison in worst_first
-    ]
+    views = gallery.worst
     return fill(
         "page.html",
         title=title,
@@ -65,10 +55,11 @@ def report(
         verdict=account.verdict,
         map=account.map,
         worst=views[0] if views else None,
-        best=views[-1] if len(views) > 1 else None,
+        best=gallery.best if len(gallery.scores) > 1 else None,
         curves=training_curves(history),
         animation=encoded(animation, "image/gif") if animation else "",
         views=views,
+        scores=sorted(gallery.scores, key=lambda score: score.psnr),
     )
 
 

@@ -1,7 +1,8 @@
 """Several runs of one capture side by side: numbers, curves and pictures, in one HTML file."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from PIL import Image, ImageDraw
@@ -9,6 +10,7 @@ from scipy.ndimage import uniform_filter
 
 from splatax.dataset import Mask
 from splatax.report.curves import psnr_over_time
+from splatax.report.gallery import MOST, ROOM
 from splatax.report.page import fill
 from splatax.report.pictures import data_uri
 from splatax.runs.history import Picture
@@ -47,39 +49,64 @@ class Lineup:
 
 
 def side_by_side(
-    names: Sequence[str], rows: Sequence[Row], curves: Sequence[Curve], lineups: Sequence[Lineup]
+    names: Sequence[str],
+    rows: Sequence[Row],
+    curves: Sequence[Curve],
+    psnrs: Mapping[str, Sequence[float]],
+    lineup: Callable[[str], Lineup],
 ) -> str:
     """Returns a page that shows runs side by side.
+
+    Pictures are shown of the test views with the largest differences in PSNR, `MOST` of them at most. The
+    others are in a table.
 
     Args:
         names: of the runs; all that follows is in their order.
         rows: of the table.
         curves: of each run.
-        lineups: of the test views; shown with the largest difference in PSNR first.
+        psnrs: of each test view, dB, by its name.
+        lineup: returns a test view by its name; called only for views that are shown, one at a time.
     """
     colors = [COLORS[i % len(COLORS)] for i in range(len(names))]
-    ordered = sorted(lineups, key=lambda lineup: max(lineup.psnr) - min(lineup.psnr), reverse=True)
+    ordered = sorted(psnrs, key=lambda name: max(psnrs[name]) - min(psnrs[name]), reverse=True)
     return fill(
         "side_by_side.html",
         title=" | ".join(names),
         runs=list(zip(names, colors, strict=True)),
         rows=rows,
         curves=psnr_over_time([(c.seconds, c.psnr) for c in curves], colors),
-        views=[view_of(lineup) for lineup in ordered],
+        views=shown((view_of(lineup(name)) for name in ordered[:MOST]), ROOM),
+        scores=[(name, marked(psnrs[name])) for name in ordered],
     )
 
 
-def view_of(lineup: Lineup) -> dict[str, object]:
+def shown(views: Iterable[dict[str, Any]], room: int) -> list[dict[str, Any]]:
+    """Returns the first views, at least one, whose pictures take no more than so many bytes together."""
+    kept: list[dict[str, Any]] = []
+    for view in views:
+        pictures = (view["photo"], view["photo_crop"], *view["images"], *view["crops"])
+        room -= sum(map(len, pictures))
+        if kept and room < 0:
+            break
+        kept.append(view)
+    return kept
+
+
+def marked(psnrs: Sequence[float]) -> list[tuple[float, bool]]:
+    """Returns each PSNR, dB, and whether it is the best."""
+    return [(value, value == max(psnrs)) for value in psnrs]
+
+
+def view_of(lineup: Lineup) -> dict[str, Any]:
     """Returns a view as the template takes it."""
     box = most_different(lineup.images, lineup.mask)
-    best = max(lineup.psnr)
     return {
         "name": lineup.name,
         "photo": data_uri(outlined(lineup.photo, box)),
         "photo_crop": data_uri(enlarged(lineup.photo, box)),
         "images": [data_uri(image) for image in lineup.images],
         "crops": [data_uri(enlarged(image, box)) for image in lineup.images],
-        "psnr": [(value, value == best) for value in lineup.psnr],
+        "psnr": marked(lineup.psnr),
     }
 
 

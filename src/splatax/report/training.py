@@ -1,9 +1,10 @@
 """The pages of a run: progress.gif and report.html."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from splatax.evaluation import Scores, ViewScore
+from splatax.report.gallery import Gallery
 from splatax.report.page import Account, report
 from splatax.report.pictures import animation
 from splatax.report.plan import places
@@ -14,15 +15,26 @@ from splatax.runs.machine import device, peak_memory
 from splatax.runs.results import Comparison, Results
 
 
-def pages(results: Results, comparisons: Sequence[Comparison]) -> Mapping[str, bytes]:
-    """Returns the animation and the report of a run by the names of their files, the report last."""
-    gif = animation(results.history.frames) if results.history.frames else b""
-    facts = summary(results, Scores(tuple(comparison.score for comparison in comparisons)))
-    verdict = verdict_of(results.dataset, comparisons, trial_of(results))
-    picture = places(results.dataset, verdict.matched, verdict.spots) if verdict else ""
-    account = Account(facts, notes(results), verdict, picture)
-    page = report(results.title, account, results.history, comparisons, gif)
-    return {"progress.gif": gif, "report.html": page.encode()}
+class Pages:
+    """Makes the animation and the report of a run: an `Audience` of its results."""
+
+    def __init__(self) -> None:
+        self._gallery = Gallery()
+
+    def see(self, comparison: Comparison) -> None:
+        """Notes one view."""
+        self._gallery.see(comparison)
+
+    def files(self, results: Results) -> Mapping[str, bytes]:
+        """Returns the animation and the report by the names of their files, the report last."""
+        gallery = self._gallery
+        gif = animation(results.history.frames) if results.history.frames else b""
+        facts = summary(results, Scores(tuple(gallery.scores)))
+        verdict = verdict_of(results.dataset, gallery, trial_of(results))
+        picture = places(results.dataset, verdict.matched, verdict.spots) if verdict else ""
+        account = Account(facts, notes(results), verdict, picture)
+        page = report(results.title, account, results.history, gallery, gif)
+        return {"progress.gif": gif, "report.html": page.encode()}
 
 
 def trial_of(results: Results) -> list[ViewScore]:

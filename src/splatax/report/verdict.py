@@ -1,17 +1,18 @@
 """The verdict on a scene in words: the good, the bad, and the probable causes."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from splatax.dataset import Dataset
 from splatax.evaluation import ViewScore
-from splatax.inspection.looks import look_of, robust_scores
+from splatax.inspection.looks import robust_scores
 from splatax.inspection.problems import LEAST_SHARPNESS, OUTLIER, TWICE
 from splatax.io.datasets.photos import counted, listed
-from splatax.report.next_photos import ISOLATED, Spot, spacing_of, spots_of
-from splatax.runs.results import Comparison
+from splatax.report.gallery import Exhibit, Gallery
+from splatax.report.next_photos import ISOLATED, Spot, spacings, spots_of
 
 GRADES = (  # least PSNR, dB, and how a picture of the scene then looks beside the photo
     (32.0, "nearly the same as the photo"),
@@ -22,8 +23,6 @@ GRADES = (  # least PSNR, dB, and how a picture of the scene then looks beside t
 GOOD, POOR = 27.0, 22.0  # dB from which a photo counts as matched, and below which as not
 BEHIND = 3.0  # dB below the median photo from which a photo counts as bad
 CORRECTABLE = 1.5  # dB that a colour correction gains
-HAZE = 0.65  # of the contrast of the photo: a picture with less is hazy
-CONCENTRATED, PART = 0.6, 0.05  # fraction of the squared error that lies in this fraction of the pixels
 FEW = 20  # photos
 
 
@@ -61,17 +60,15 @@ class Verdict:
     matched: dict[str, bool] = field(default_factory=dict)
 
 
-def verdict_of(
-    dataset: Dataset, comparisons: Sequence[Comparison], trial: Sequence[ViewScore] = ()
-) -> Verdict | None:
+def verdict_of(dataset: Dataset, gallery: Gallery, trial: Sequence[ViewScore] = ()) -> Verdict | None:
     """Judges a run by its held-out photos, else by those of its trial run; None if it has no pictures.
 
     Args:
         dataset: the capture.
-        comparisons: of the held-out views, or of training views where none are held out.
+        gallery: the held-out views, or training views where none are held out.
         trial: scores of photos that another run held out, for a run that holds out none.
     """
-    scores = trial or [comparison.score for comparison in comparisons]
+    scores = trial or gallery.scores
     unseen = bool(trial or dataset.test)
     if not scores:
         return None
@@ -80,7 +77,7 @@ def verdict_of(
     spots = spots_of(dataset, [name for name, good in matched.items() if not good])
     complaints = [
         *_unseen_photos(unseen),
-        *_bad_photos(dataset, scores, () if trial else comparisons),  # the trial's pictures are not kept
+        *_bad_photos(dataset, scores, Gallery() if trial else gallery),  # the trial's pictures are not kept
         *_evenly_poor(psnrs),
         *_number(dataset),
         *(
@@ -134,16 +131,46 @@ def _unseen_photos(unseen: bool) -> list[Complaint]:
     ]
 
 
-def _bad_photos(
-    dataset: Dataset, scores: Sequence[ViewScore], comparisons: Sequence[Comparison]
-) -> list[Complaint]:
+@dataclass(frozen=True)
+class _Known:
+    """What is known about the photos of a run.
+
+    Attributes:
+        bar: PSNR below which a photo counts as bad, dB.
+        errors: median reprojection error by name, pixels, for photos that have one.
+        spacings: distance to the nearest training photo by name, in multiples of the usual distance.
+        shown: the worst views, by name.
+        blurred: names of photos that are blurred, compared with the others.
+    """
+
+    bar: float
+    errors: Mapping[str, float]
+    spacings: Mapping[str, float]
+    shown: Mapping[str, Exhibit]
+    blurred: Set[str]
+
+    @cached_property
+    def largest_error(self) -> float:
+        """Reprojection error, pixels, above which a pose counts as wrong."""
+        return max(TWICE * float(np.median(list(self.errors.values()))), 1.0) if self.errors else np.inf
+
+
+def _bad_photos(dataset: Dataset, scores: Sequence[ViewScore], gallery: Gallery) -> list[Complaint]:
     """Returns a complaint for each cause, with the photos that suffer from it."""
     bar = _bar(np.array([score.psnr for score in scores]))
-    shown = {comparison.score.name: comparison for comparison in comparisons}
+    worst_first = [score for score in sorted(scores, key=lambda score: score.psnr) if score.psnr < bar]
+    if not worst_first:
+        return []
+    known = _Known(
+        bar,
+        {name: float(np.median(values)) for name, values in dataset.survey.errors.items() if len(values)},
+        spacings(dataset),
+        {exhibit.score.name: exhibit for exhibit in gallery.worst},
+        _blurred(gallery.sharpness),
+    )
     causes: dict[tuple[str, str], list[ViewScore]] = {}
-    for score in sorted(scores, key=lambda score: score.psnr):
-        if score.psnr < bar:
-            causes.setdefault(_cause(dataset, score, scores, shown), []).append(score)
+    for score in worst_first:
+        causes.setdefault(_cause(score, known), []).append(score)
     complaints = []
     for (why, mend), bad in causes.items():
         verb = "is" if len(bad) == 1 else "are"
@@ -153,40 +180,35 @@ def _bad_photos(
     return complaints
 
 
-def _cause(
-    dataset: Dataset, score: ViewScore, scores: Sequence[ViewScore], shown: dict[str, Comparison]
-) -> tuple[str, str]:
+def _cause(score: ViewScore, known: _Known) -> tuple[str, str]:
     """Returns the probable cause of a bad photo, and what to do about it."""
-    errors = {name: float(np.median(values)) for name, values in dataset.survey.errors.items() if len(values)}
-    if score.name in errors and errors[score.name] > max(
-        TWICE * float(np.median(list(errors.values()))), 1.0
-    ):
+    shown = known.shown.get(score.name)
+    if known.errors.get(score.name, 0.0) > known.largest_error:
         return (
             "Poses: points project further from where this photo shows them than in the other photos.",
             "Leave it out, or find the cameras again: splatax reconstruct.",
         )
-    bar = _bar(np.array([each.psnr for each in scores]))
-    if score.corrected_psnr - score.psnr > CORRECTABLE and score.corrected_psnr >= bar:
+    if score.corrected_psnr - score.psnr > CORRECTABLE and score.corrected_psnr >= known.bar:
         return (
             "Exposure: its brightness or white balance differs from the other photos.",
             "Lock exposure and white balance, or train with appearance exposure.",
         )
-    if score.name in shown and _hazy(shown[score.name]):
+    if shown and shown.hazy:
         return (
             "Haze: something hangs in front of the camera there that no other photo shows to be empty.",
             "Take photos beside and behind this place, and train longer.",
         )
-    if spacing_of(dataset, score.name) > ISOLATED:
+    if known.spacings.get(score.name, 1.0) > ISOLATED:
         return (
             "Too few photos here: the nearest photos are further away than usual.",
             "Take two or three more photos around this place.",
         )
-    if score.name in shown and _blurred(score.name, shown):
+    if score.name in known.blurred:
         return (
             "Motion: the photo itself is blurred, compared with the others.",
             "Take it again, or leave it out.",
         )
-    if score.name in shown and _concentrated(shown[score.name]):
+    if shown and shown.concentrated:
         return (
             "Most of the error is in one small part of the picture: something moved or shines there, or is "
             "in few photos.",
@@ -198,25 +220,12 @@ def _cause(
     )
 
 
-def _blurred(name: str, shown: dict[str, Comparison]) -> bool:
-    if len(shown) < 5:
-        return False
-    sharpness = np.log([max(look_of(each.photo).sharpness, 1e-3) for each in shown.values()])
-    return bool(robust_scores(sharpness, LEAST_SHARPNESS)[list(shown).index(name)] < -OUTLIER)
-
-
-def _hazy(comparison: Comparison) -> bool:
-    counted_in = ... if comparison.mask is None else comparison.mask
-    return float(comparison.image[counted_in].std()) < HAZE * float(comparison.photo[counted_in].std())
-
-
-def _concentrated(comparison: Comparison) -> bool:
-    difference = comparison.image.astype(np.float32) - comparison.photo
-    errors = np.sort(
-        np.sum(difference**2, axis=2)[... if comparison.mask is None else comparison.mask].ravel()
-    )
-    worst = errors[-max(round(PART * len(errors)), 1) :]
-    return bool(worst.sum() > CONCENTRATED * errors.sum())
+def _blurred(sharpness: Mapping[str, float]) -> set[str]:
+    """Returns the names of photos that are blurred, compared with the others, if there are enough others."""
+    if len(sharpness) < 5:
+        return set()
+    scores = robust_scores(np.array(list(sharpness.values())), LEAST_SHARPNESS)
+    return {name for name, score in zip(sharpness, scores, strict=True) if score < -OUTLIER}
 
 
 def _evenly_poor(psnrs: np.ndarray) -> list[Complaint]:

@@ -5,8 +5,10 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from splatax.ahead import cores
 from splatax.dataset import Dataset
 from splatax.errors import InputError
+from splatax.io.datasets.decoding import PhotoDecoder
 from splatax.runs import forecast
 from splatax.runs.machine import physical_memory
 from splatax.runs.results import SHOWN
@@ -14,6 +16,8 @@ from splatax.runs.results import SHOWN
 ENOUGH_STEPS = 500  # of a budget: with fewer, smaller photos teach more
 SMALLEST_SIDE = 640  # pixels of the longer side that photos are not made smaller than for it
 WRITING, SCORING = 5.0, 2e-6  # seconds to write results on two cores, and more for each pixel that is scored
+DECODING_FRACTION = 0.25  # of what is left of the limit: the most that decoding photos ahead may take
+MACHINE_FRACTION = 0.8  # of the machine's memory, that large captures may take without a limit
 PHOTO_FRACTION = 0.5  # of all memory, or of what is left of the limit: the most that decoded photos may take
 
 
@@ -42,11 +46,13 @@ class Room:
         gaussians: the most that the scene may grow to.
         photos: bytes of decoded photos that are kept; the others are read again for each step.
         wanted: bytes of all decoded photos.
+        decoding: bytes for the photos that threads decode at one time; None for a part of the machine's.
     """
 
     gaussians: int | float = math.inf
     photos: int | float = math.inf
     wanted: int = 0
+    decoding: int | None = None
 
     def __str__(self) -> str:
         part = f"{gigabytes(self.photos)} of {gigabytes(self.wanted)} of photos"
@@ -68,7 +74,8 @@ def room_within(limit: int | None, dataset: Dataset, first: int) -> Room:
     width, height, wanted = forecast.photos(dataset)
     if limit is None:
         return Room(photos=PHOTO_FRACTION * (physical_memory() or math.inf), wanted=wanted)
-    least = forecast.memory(first, width, height)
+    one = decoding_memory(dataset)
+    least = forecast.memory(first, width, height) + one
     if limit < least:
         raise InputError(
             f"{gigabytes(limit)} of memory are too little: the start alone takes about {gigabytes(least)}, "
@@ -76,8 +83,30 @@ def room_within(limit: int | None, dataset: Dataset, first: int) -> Room:
             "smaller.",
             options=("memory", "downscale"),
         )
-    photos = min(wanted, PHOTO_FRACTION * (limit - least))
-    return Room(forecast.most_gaussians(limit, width, height, round(photos)), photos, wanted)
+    more = min((cores() - 1) * one, round(DECODING_FRACTION * (limit - least)))
+    photos = min(wanted, PHOTO_FRACTION * (limit - least - more))
+    gaussians = forecast.most_gaussians(limit - one - more, width, height, round(photos))
+    return Room(gaussians, photos, wanted, one + more)
+
+
+def gaussians_here(dataset: Dataset) -> int | float:
+    """Returns the number of Gaussians that a run without a limit of memory has room for on this machine."""
+    machine = physical_memory()
+    if machine is None:
+        return math.inf
+    width, height, wanted = forecast.photos(dataset)
+    photos = min(wanted, round(PHOTO_FRACTION * machine))
+    return forecast.most_gaussians(round(MACHINE_FRACTION * machine), width, height, photos)
+
+
+def decoding_memory(dataset: Dataset) -> int:
+    """Returns the bytes that reading one photo ahead takes, for the largest: decoding it, and the photo."""
+    sizes = [
+        (view.pixels.stored.memory if isinstance(view.pixels, PhotoDecoder) else 0)
+        + 3 * view.camera.width * view.camera.height
+        for view in dataset.train
+    ]
+    return max(sizes)
 
 
 def gigabytes(size: int | float) -> str:

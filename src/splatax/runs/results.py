@@ -1,18 +1,18 @@
 """The files that a run leaves: scene.ply, metrics.json, config.json, and whatever pages are made of it."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from splatax.dataset import Dataset, Mask, View, mask_of
+from splatax.dataset import Dataset, Mask, View
 from splatax.errors import InputError
-from splatax.evaluation import PROTOCOL, Scores, ViewScore, photo_of, picture, score
+from splatax.evaluation import PROTOCOL, Scores, ViewScore, compared
 from splatax.gaussians import Gaussians
 from splatax.geometry_scores import as_json as as_json_of_geometry
 from splatax.geometry_scores import evaluate_geometry
@@ -90,11 +90,13 @@ class Results:
         """True if the exposure of each training photo was learned, so held-out ones may differ in theirs."""
         return not isinstance(self.recipe.appearance, NoAppearance)
 
-    def write(self, present: "Present") -> Scores | None:
+    def write(self, audience: "Audience") -> Scores | None:
         """Writes all files, the scene first.
 
+        Views are compared with their photos one after another, so memory holds a few at a time.
+
         Args:
-            present: makes further files, written last.
+            audience: sees each view, and makes further files, written last.
 
         Returns:
             Scores of the held-out views; None if there are none.
@@ -102,13 +104,16 @@ class Results:
         formats.save(self.out / "scene.ply", self.gaussians)
         if self.refines_cameras:
             self._write_cameras()
-        comparisons = [self._compare(view) for view in self.dataset.test or examples(self.dataset.train)]
-        test = Scores(tuple(comparison.score for comparison in comparisons)) if self.dataset.test else None
+        scores = []
+        for comparison in self._comparisons(self.dataset.test or examples(self.dataset.train)):
+            scores.append(comparison.score)
+            audience.see(comparison)
+        test = Scores(tuple(scores)) if self.dataset.test else None
         if test:
             self.history.evaluations.append(Evaluation(self.history.steps, self.history.train_seconds, test))
         write_json(self.out / "metrics.json", self.metrics(test) | {"geometry": self.geometry()})
         write_json(self.out / "config.json", self.repeatable())
-        for name, contents in present(self, comparisons).items():
+        for name, contents in audience.files(self).items():
             write_whole(self.out / name, contents)
         return test
 
@@ -150,12 +155,9 @@ class Results:
             "versions": versions(),
         }
 
-    def _compare(self, view: View) -> Comparison:
-        renderer = self.recipe.renderer
-        photo = photo_of(view, renderer.behind(view.camera))
-        image = picture(self.gaussians, view.camera, renderer)
-        mask = mask_of(view)
-        return Comparison(score(view.name, image, photo, mask), photo, image, mask)
+    def _comparisons(self, views: Sequence[View]) -> Iterator[Comparison]:
+        for score, photo, image, mask in compared(self.gaussians, views, self.recipe.renderer):
+            yield Comparison(score, photo, image, mask)
 
     def _write_cameras(self) -> None:
         """Writes the cameras as a COLMAP model, those of held-out photos as they were given.
@@ -170,15 +172,29 @@ class Results:
             write_json(self.out / "refined" / "motions.json", twists)
 
 
-Present = Callable[[Results, Sequence[Comparison]], Mapping[str, bytes]]  # contents of files by name
+@runtime_checkable
+class Audience(Protocol):
+    """Looks at the views of a finished run one after another, and makes files of them."""
+
+    def see(self, comparison: Comparison) -> None:
+        """Notes one view. Views come in the order of their names, and are not kept."""
+
+    def files(self, results: Results) -> Mapping[str, bytes]:
+        """Returns the contents of files by name, once all views have been seen."""
 
 
-def no_pages(results: Results, comparisons: Sequence[Comparison]) -> Mapping[str, bytes]:
-    """Makes no files."""
-    return {}
+class NoPages:
+    """An audience that makes no files."""
+
+    def see(self, comparison: Comparison) -> None:
+        """Ignores the view."""
+
+    def files(self, results: Results) -> Mapping[str, bytes]:
+        """Returns no files."""
+        return {}
 
 
-def conclude(results: Results, checkpoints: Checkpoints, present: Present = no_pages) -> Scores | None:
+def conclude(results: Results, checkpoints: Checkpoints, audience: Audience | None = None) -> Scores | None:
     """Writes the results of a run, and removes its checkpoints if it has made all of its steps.
 
     Until everything is written the checkpoints stay, so that a run which fails here can be concluded again
@@ -187,7 +203,7 @@ def conclude(results: Results, checkpoints: Checkpoints, present: Present = no_p
     Args:
         results: of the run.
         checkpoints: of the run.
-        present: makes further files, such as `splatax.report.training.pages`.
+        audience: makes further files, such as `splatax.report.training.Pages`; None for no one.
 
     Returns:
         Scores of the held-out views; None if there are none.
@@ -196,7 +212,7 @@ def conclude(results: Results, checkpoints: Checkpoints, present: Present = no_p
         InputError: if a photo cannot be read, or a file cannot be written.
     """
     try:
-        scores = results.write(present)
+        scores = results.write(audience or NoPages())
     except (OSError, InputError) as error:
         why = explained(error) if isinstance(error, OSError) else str(error)
         helps = error.options if isinstance(error, InputError) else ()

@@ -1,6 +1,7 @@
 """Batches of training: the training views in random order, read ahead and sent to the device."""
 
 import math
+from collections import deque
 from collections.abc import Hashable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -11,13 +12,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, UInt8
 
+from splatax.ahead import cores
 from splatax.cameras import Camera
 from splatax.dataset import Mask, Pixels, View
-from splatax.training.photo_cache import PhotoCache
+from splatax.training.photo_cache import Frame, PhotoCache
 from splatax.training.protocols import ResolutionSchedule, Source
 from splatax.training.resolution import Resolution
 
 MOST_LANDMARKS = 8192  # of one photo; more cost time and memory, and say little more
+READERS = 16  # threads that read photos, at most
 FIRST = Source(np.int32(0), np.int32(0))
 
 
@@ -53,7 +56,8 @@ def batches(
 ) -> Iterator[Batch]:
     """Yields all views in random order, then again in another order, without end.
 
-    Each view is read in a thread while the caller trains on the view before.
+    The next views are read in threads while the caller trains on the views before, as many at a time as the
+    process has cores. The order and the contents of batches do not depend on the threads.
 
     Args:
         views: the training views, at least one.
@@ -69,18 +73,27 @@ def batches(
     known = landmarks_of(views) if landmarks else None
     indices = islice(order(len(views), seed, start // len(views)), start % len(views), None)
     sizes = [(view.camera.width, view.camera.height) for view in views]
-    with ThreadPoolExecutor(1) as reader:
-        ahead: tuple[int, Future[tuple[Camera, Pixels, Mask | None]]] | None = None
-        index = next(indices)
-        for step in count(start + 1):
-            divisor = resolution.divisor(step, sizes[index])
-            if ahead is None or ahead[0] != divisor:
-                ahead = divisor, reader.submit(cache.frame, index, divisor)
-            frame, here = ahead[1].result(), (origin[index], divisor, None if known is None else known[index])
-            index = next(indices)
-            divisor = resolution.divisor(step + 1, sizes[index])
-            ahead = divisor, reader.submit(cache.frame, index, divisor)
-            yield batch(*frame, *here)
+    readers = min(cores(), READERS)
+    with ThreadPoolExecutor(readers) as pool:
+        ahead: deque[tuple[int, int, Future[Frame]]] = deque()  # index of a view, divisor, and its frame
+
+        def read(index: int, divisor: int) -> tuple[int, int, Future[Frame]]:
+            return index, divisor, pool.submit(cache.frame, index, divisor)
+
+        try:
+            for step in count(start + 1):
+                for later in range(step + len(ahead), step + readers + 1):
+                    index = next(indices)
+                    ahead.append(read(index, resolution.divisor(later, sizes[index])))
+                index, divisor, frame = ahead.popleft()
+                if divisor != (wanted := resolution.divisor(step, sizes[index])):
+                    frame.cancel()
+                    _, divisor, frame = read(index, wanted)
+                points = None if known is None else known[index]
+                yield batch(*frame.result(), origin[index], divisor, points)
+        finally:
+            for *_, frame in ahead:
+                frame.cancel()
 
 
 def batch(

@@ -1,6 +1,7 @@
 """A cache of decoded photos: it keeps as many as fit in a given memory and decodes the others again."""
 
 from collections.abc import Sequence
+from threading import Lock
 
 from splatax.cameras import Camera
 from splatax.dataset import Mask, Pixels, View, mask_of
@@ -11,7 +12,7 @@ Frame = tuple[Camera, Pixels, Mask | None]
 
 
 class PhotoCache:
-    """Decoded photos and masks, by the index of their view.
+    """Decoded photos and masks, by the index of their view. Threads share it.
 
     Photos are requested in random order, so each is equally likely to be next. The cache therefore never
     replaces a photo that it keeps: the replaced one would only have to be decoded again.
@@ -21,6 +22,7 @@ class PhotoCache:
         """Creates an empty cache for so many bytes; `math.inf` keeps all photos."""
         self._views, self._left = views, room
         self._kept: dict[int, tuple[int, Frame]] = {}
+        self._lock = Lock()
 
     def frame(self, index: int, divisor: int) -> Frame:
         """Returns a view whose width and height are divided by `divisor`.
@@ -30,18 +32,22 @@ class PhotoCache:
         Raises:
             DatasetError: if the photo or its mask is not of the camera's size.
         """
-        if index in self._kept:
-            kept, frame = self._kept[index]
-            if kept == divisor:
-                return frame
-            del self._kept[index]
-            self._left += size_of(frame)
+        with self._lock:
+            kept = self._kept.get(index)
+            if kept and kept[0] == divisor:
+                return kept[1]
+            self._drop(index)
         view = self._views[index]
         frame = divided(view.camera, checked(view), mask_of(view), divisor)
-        if size_of(frame) <= self._left:
-            self._kept[index] = divisor, frame
-            self._left -= size_of(frame)
+        with self._lock:  # another thread may have read the view meanwhile
+            if index not in self._kept and size_of(frame) <= self._left:
+                self._kept[index] = divisor, frame
+                self._left -= size_of(frame)
         return frame
+
+    def _drop(self, index: int) -> None:
+        if index in self._kept:
+            self._left += size_of(self._kept.pop(index)[1])
 
 
 def size_of(frame: Frame) -> int:

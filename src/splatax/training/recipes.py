@@ -163,17 +163,37 @@ def rates_for(steps: int) -> LearningRates:
 
 
 PIXELS_PER_GAUSSIAN = 8  # of one photo
-MOST = 1_000_000
+MOST = 1_000_000  # Gaussians of a capture of up to `MANY` photos
+MANY = 1_000  # photos
+EPOCHS = 30  # times that each photo of a larger capture is seen, where steps are not given
 
 
 def room_for(dataset: Dataset) -> int:
-    """Returns the number of Gaussians that a capture has detail for, at most a million.
+    """Returns the number of Gaussians for a capture: what it has detail for, up to `most_for`."""
+    return min(detail_of(dataset), most_for(dataset))
+
+
+def detail_of(dataset: Dataset) -> int:
+    """Returns the number of Gaussians that a capture has detail for.
 
     One photo has detail for one Gaussian per 8 pixels. More photos show more, but in large part the
     same again: detail is assumed to grow with the square root of their number.
     """
     pixels = sum(view.camera.width * view.camera.height for view in dataset.train)
-    return min(round(pixels / math.sqrt(len(dataset.train)) / PIXELS_PER_GAUSSIAN), MOST)
+    return round(pixels / math.sqrt(len(dataset.train)) / PIXELS_PER_GAUSSIAN)
+
+
+def most_for(dataset: Dataset) -> int:
+    """Returns the largest default number of Gaussians: a million, and for more photos a thousand for each."""
+    return round(MOST * max(len(dataset.train) / MANY, 1))
+
+
+def steps_for(dataset: Dataset) -> int:
+    """Returns the number of steps where neither a number nor a time is given.
+
+    It is 30,000, or `EPOCHS` steps for each training photo if that is more.
+    """
+    return max(Recipe.steps, EPOCHS * len(dataset.train))
 
 
 @dataclass(frozen=True)

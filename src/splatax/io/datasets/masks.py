@@ -3,16 +3,11 @@
 CAPTURE/masks/NAME.jpg.png  or  CAPTURE/masks/NAME.png     for the photo NAME.jpg
 """
 
-from collections.abc import Callable, Iterable
-from functools import partial
+from collections.abc import Iterable
 from pathlib import Path
 
-import numpy as np
-
-from splatax.dataset import Mask, Pixels
 from splatax.errors import DatasetError
 from splatax.io import images
-from splatax.resampling import resize_mask
 
 FOLDER = "masks"
 
@@ -38,19 +33,11 @@ def masks_of(capture: Path, names: Iterable[str]) -> dict[str, Path]:
     return masks
 
 
-def decoder(
-    path: Path, photo: tuple[int, int], straighten: Callable[[Pixels], Pixels], view: tuple[int, int]
-) -> Callable[[], Mask]:
-    """Returns a function that reads a mask on demand, undistorted and at the size of its view.
-
-    Args:
-        path: path of the mask, which has the photo's proportions.
-        photo: width and height of the decoded photo.
-        straighten: function that removes the lens distortion from pictures of that size.
-        view: width and height of the view.
+def check_proportions(path: Path, photo: tuple[int, int]) -> None:
+    """Checks that a mask has the proportions of its photo, whose width and height are given.
 
     Raises:
-        DatasetError: if the proportions of the mask and the photo differ.
+        DatasetError: if they differ.
     """
     (width, height), (photo_width, photo_height) = images.size_of(path), photo
     rounding = 1.5 * max(width / photo_width, 1)  # pixels by which a resized side may differ
@@ -59,13 +46,3 @@ def decoder(
             f"{path}: {width} x {height} pixels, but its photo {photo_width} x {photo_height}: other "
             "proportions. Make the mask from that photo, turned the same way."
         )
-    return partial(decode, path, photo, straighten, view)
-
-
-def decode(
-    path: Path, photo: tuple[int, int], straighten: Callable[[Pixels], Pixels], view: tuple[int, int]
-) -> Mask:
-    """Decodes a mask, and undistorts and resizes it like its photo."""
-    mask = resize_mask(images.read_mask(path), *photo)
-    shades = np.repeat(np.where(mask, np.uint8(255), np.uint8(0))[..., None], 3, axis=2)
-    return resize_mask(straighten(shades)[..., 0] > 127, *view)

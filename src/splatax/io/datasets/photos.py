@@ -1,8 +1,7 @@
 """Photos with known cameras, which every loader uses: read, undistorted, turned and resized on demand."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,13 +12,13 @@ from jaxtyping import Float
 from splatax.cameras import Camera, from_colmap
 from splatax.cameras.conventions import COLMAP_MODELS, PANORAMA
 from splatax.cameras.lenses import Orthographic
-from splatax.dataset import Pixels, Survey, View
+from splatax.dataset import Survey, View
 from splatax.errors import DatasetError, shown
 from splatax.io import images
 from splatax.io.damage import blamed_on
 from splatax.io.datasets import masks, names
-from splatax.io.datasets.undistortion import is_pinhole, undistortion
-from splatax.resampling import resize
+from splatax.io.datasets.decoding import MaskDecoder, PhotoDecoder, Stored
+from splatax.io.datasets.undistortion import Straightening, is_pinhole, undistortion
 
 if TYPE_CHECKING:
     import pycolmap
@@ -91,33 +90,20 @@ class Source:
                 pinhole, straighten = undistortion(self.camera, factor)
                 camera = camera_of(pinhole, self.cam_from_world)
             else:
-                straighten, camera = unchanged, self.camera_as_it_is()
+                straighten, camera = Straightening(), self.camera_as_it_is()
         width, height = (max(1, round(side / factor)) for side in (camera.width, camera.height))
-        mask = None
+        decoded = self.camera.width, self.camera.height
+        stored = Stored(self.path, decoded, straighten, (width, height))
+        mask = MaskDecoder(replace(stored, path=self.mask)) if self.mask else None
         if self.mask:
-            on_disk = (self.camera.width, self.camera.height)
-            mask = masks.decoder(self.mask, on_disk, straighten, (width, height))
-        return View(
-            self.name, camera.resized(width, height), partial(self.pixels, straighten, width, height), mask
-        )
+            masks.check_proportions(self.mask, decoded)
+        pixels = PhotoDecoder(stored, self.upright, self.divisor)
+        return View(self.name, camera.resized(width, height), pixels, mask)
 
     def camera_as_it_is(self) -> Camera:
         """Returns the camera of the decoded photo, with its lens."""
         camera = camera_of(self.camera, self.cam_from_world)
         return replace(camera, lens=Orthographic()) if self.parallel else camera
-
-    def pixels(self, straighten: Callable[[Pixels], Pixels], width: int, height: int) -> Pixels:
-        """Decodes the photo for its view."""
-        pixels = images.read(self.path, upright=self.upright, divisor=self.divisor)
-        with blamed_on(
-            self.path, "the photo cannot be undistorted", "Calibrate its camera again.", DatasetError
-        ):
-            return resize(straighten(pixels), width, height)
-
-
-def unchanged(pixels: Pixels) -> Pixels:
-    """Returns a photo as it is."""
-    return pixels
 
 
 def source_of(

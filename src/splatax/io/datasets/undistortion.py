@@ -1,6 +1,7 @@
 """Undistorts photos: resamples them as photos of pinhole cameras."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING
 
@@ -12,13 +13,29 @@ from splatax.dataset import Pixels
 if TYPE_CHECKING:
     import pycolmap
 
+ROWS = 64  # rows of pixels whose sources are computed at a time
 ENOUGH_SHRINKING = 2.0  # factor from which shrinking averages away the blur of bilinear interpolation
 
 
-def undistortion(
-    camera: "pycolmap.Camera", shrinking: float
-) -> "tuple[pycolmap.Camera, Callable[[Pixels], Pixels]]":
-    """Returns a pinhole camera for the photos of a camera, and the function that undistorts its photos.
+@dataclass(frozen=True)
+class Straightening:
+    """The way in which the photos of a camera are undistorted.
+
+    Attributes:
+        resample: undistorts a photo; None leaves photos as they are.
+        described: camera, pinhole camera and interpolation in words, on which the result depends.
+    """
+
+    resample: Callable[[Pixels], Pixels] | None = None
+    described: str = ""
+
+    def __call__(self, pixels: Pixels) -> Pixels:
+        """Returns a photo without distortion."""
+        return self.resample(pixels) if self.resample else pixels
+
+
+def undistortion(camera: "pycolmap.Camera", shrinking: float) -> "tuple[pycolmap.Camera, Straightening]":
+    """Returns a pinhole camera for the photos of a camera, and how its photos are undistorted.
 
     Args:
         camera: camera of the photos.
@@ -29,12 +46,14 @@ def undistortion(
     import pycolmap
 
     if is_pinhole(camera):
-        return camera, lambda pixels: pixels
+        return camera, Straightening()
     options = pycolmap.UndistortCameraOptions()
     pinhole = pycolmap.undistort_camera(options, camera)
     if shrinking >= ENOUGH_SHRINKING:
-        return pinhole, partial(bilinear, camera, options)
-    return pinhole, partial(cubic, described(camera), described(pinhole))
+        words = f"bilinear {described(camera)} {described(pinhole)}"
+        return pinhole, Straightening(partial(bilinear, camera, options), words)
+    words = f"cubic {described(camera)} {described(pinhole)}"
+    return pinhole, Straightening(partial(cubic, described(camera), described(pinhole)), words)
 
 
 def is_pinhole(camera: "pycolmap.Camera") -> bool:
@@ -65,11 +84,11 @@ def cubic(camera: Described, pinhole: Described, pixels: Pixels) -> Pixels:
     from scipy import ndimage
 
     rows_and_columns = sources(camera, pinhole)
-    channels = [
-        ndimage.map_coordinates(channel, rows_and_columns, np.float32, order=3, mode="nearest")
-        for channel in np.moveaxis(pixels, 2, 0)
-    ]
-    return np.clip(np.round(np.stack(channels, axis=2)), 0, 255).astype(np.uint8)
+    channels = np.empty((*rows_and_columns.shape[1:], pixels.shape[2]), np.uint8)
+    for i, channel in enumerate(np.moveaxis(pixels, 2, 0)):
+        found = ndimage.map_coordinates(channel, rows_and_columns, np.float32, order=3, mode="nearest")
+        channels[..., i] = np.clip(np.round(found, out=found), 0, 255, out=found)
+    return channels
 
 
 @lru_cache(maxsize=2)  # photos of one camera follow each other
@@ -84,8 +103,13 @@ def sources(camera: Described, pinhole: Described) -> Float[np.ndarray, "2 h w"]
         pycolmap.Camera(model=model, width=width, height=height, params=list(parameters))
         for model, width, height, parameters in (camera, pinhole)
     )
-    columns, rows = np.meshgrid(np.arange(straight.width) + 0.5, np.arange(straight.height) + 0.5)
-    slopes = np.asarray(straight.cam_from_img(np.stack([columns.ravel(), rows.ravel()], axis=1)))
-    seen = np.asarray(bent.img_from_cam(np.column_stack([slopes, np.ones(len(slopes))])))
-    # COLMAP's origin is the photo's corner, so pixel centres are at halves.
-    return (seen - 0.5).T[::-1].reshape(2, straight.height, straight.width).astype(np.float32)
+    found = np.empty((2, straight.height, straight.width), np.float32)
+    columns = np.arange(straight.width) + 0.5
+    for top in range(0, straight.height, ROWS):
+        rows = np.arange(top, min(top + ROWS, straight.height)) + 0.5
+        places = np.stack([each.ravel() for each in np.meshgrid(columns, rows)], axis=1)
+        slopes = np.asarray(straight.cam_from_img(places))
+        seen = np.asarray(bent.img_from_cam(np.column_stack([slopes, np.ones(len(slopes))])))
+        # COLMAP's origin is the photo's corner, so pixel centres are at halves.
+        found[:, top : top + ROWS] = (seen - 0.5).T[::-1].reshape(2, len(rows), straight.width)
+    return found

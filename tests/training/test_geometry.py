@@ -147,7 +147,7 @@ def test_training_with_surfaces_moves_the_drawn_depth_to_the_landmarks():
     recipe = replace(RECIPE, steps=12)
     errors = []
     for weight in (0.0, 5.0):
-        objective = Objective(geometry=Surfaces(0.0, 0.0, weight))
+        objective = Objective(geometry=Surfaces(0.0, 0.0, weight, final=1.0))
         trained = sx.fit(replace(dataset, train=views), replace(recipe, objective=objective))
         depth = sx.render(trained, views[0].camera, outputs=("surface_depth",)).surface_depth
         errors.append(error_at(jnp.asarray(points), depth, views[0].camera))

@@ -64,7 +64,7 @@ class Surfaces:
     spread: float = 0.1
     consistency: float = 0.0
     points: float = 0.2
-    final: float = 0.1
+    final: float = 1.0
 
     @property
     def outputs(self) -> Mapping[str, Output]:

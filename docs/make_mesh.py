@@ -19,7 +19,7 @@ from splatax import mesh
 from splatax.cameras.geometry import seen_at
 from splatax.demo.raycast import truth
 from splatax.demo.scenes import DEFAULT, scene_named
-from splatax.geometry_scores import DEPTH
+from splatax.geometry_scores import best_depth
 from splatax.mesh.comparison import places_on
 from splatax.mesh.views import DepthView, Picture
 
@@ -39,8 +39,10 @@ def main(capture: Path, runs: list[Path]) -> None:
     exact = [DepthView(view.camera, lambda view=view: exact_picture(view)) for view in dataset.train]
     found = {"exact depth": mesh.extract(exact)}
     for run in runs:
-        found[run.name] = mesh.extract(mesh.depth_views(sx.load(run / "scene.ply"), cameras))
-    print(f"depth: {DEPTH}")
+        gaussians = sx.load(run / "scene.ply")
+        depth = best_depth(gaussians, dataset.train)
+        print(f"{run.name}: {depth}")
+        found[run.name] = mesh.extract(mesh.depth_views(gaussians, cameras, depth=depth))
     for name, each in found.items():
         agreement = mesh.compare(each, samples)
         print(

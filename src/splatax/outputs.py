@@ -105,11 +105,7 @@ def distances(seen: Seen) -> Float[Array, "n 1"]:
 
 
 def part_rows(seen: Seen) -> Float[Array, "n p"]:
-    """Returns 1 for each Gaussian in the column of its part, and 0 elsewhere.
-
-    Raises:
-        ValueError: if there are only splats, which have no parts.
-    """
+    """Returns 1 for each Gaussian in the column of its part, else 0. It refuses splats without a scene."""
     if seen.sizes is None:
         raise ValueError("output 'parts' needs the scene: use render instead of rasterize.")
     part = np.repeat(np.arange(len(seen.sizes)), seen.sizes)

@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import splatax as sx
 from scenes import camera_at, random_gaussians
+from splatax.cameras.lenses import Equirectangular
 from splatax.cameras.motion import RollingShutter
 from splatax.scene import ColorMap
 from splatax.transforms import Similarity
@@ -45,6 +46,19 @@ def test_a_camera_that_moves_during_the_exposure_sees_a_part_as_its_baked_gaussi
     drawn, baked = (sx.render(seen, camera, outputs=("rgb",)).rgb for seen in (part, part.flattened()))
     assert baked.std() > 0.05
     assert_allclose(drawn, baked, atol=2e-3)
+
+
+def test_outputs_of_surfaces_and_of_panoramas_know_where_the_parts_are():
+    parts = scene()
+    outputs = ("normals", "surface_depth", "alpha")
+    drawn, baked = (sx.render(seen, CAMERA, outputs=outputs) for seen in (parts, parts.flattened()))
+    assert (baked.alpha > 0.5).any()
+    for name in outputs:  # planes that are seen edge-on feel the rounding
+        assert np.quantile(np.abs(getattr(drawn, name) - getattr(baked, name)), 0.99) < 5e-3
+    around = replace(CAMERA, lens=Equirectangular(), fx=jnp.float32(48 / (2 * np.pi)))
+    whole = sx.render(parts, around, outputs=("parts", "alpha"))
+    assert whole.alpha.max() > 0.5
+    assert_allclose(whole.parts.sum(axis=2), whole.alpha, atol=1e-5)
 
 
 def test_interleaved_parts_are_drawn_in_one_order_of_depths():

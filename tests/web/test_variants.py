@@ -150,6 +150,30 @@ def test_an_embedded_page_has_no_buttons_and_plays_unless_less_motion_is_asked_f
     context.close()
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("offered", ["true", "false"])
+def test_the_headset_button_is_there_if_the_browser_offers_one_and_says_what_failed(browser, page, offered):
+    context = browser.new_context(viewport={"width": 640, "height": 480}, reduced_motion="reduce")
+    context.add_init_script(
+        f"const xr = {{ isSessionSupported: async () => {offered}, "
+        "requestSession: async () => { throw new Error('it is asleep'); } };"
+        "Object.defineProperty(navigator, 'xr', { value: xr });"
+    )
+    tab = context.new_page()
+    tab.goto(page.as_uri())
+    for _ in range(600):
+        if tab.evaluate("Boolean(window.viewer) && viewer.settled"):
+            break
+        tab.wait_for_timeout(50)
+    button = tab.locator("#headset")
+    assert button.is_visible() == (offered == "true")
+    if offered == "true":
+        button.click()
+        tab.wait_for_timeout(200)
+        assert tab.locator("#hint").inner_text() == "The headset did not start: it is asleep"
+    context.close()
+
+
 def test_what_the_scene_has_not_is_refused_with_the_name_of_the_page(viewer):
     def document(**offered):
         web.document(SCENE, title="car", presentation=web.Presentation(**offered), name="car.html")

@@ -124,6 +124,18 @@ function update() {
   }
 }
 
+async function enterHeadset() {
+  await viewer.stage.enter(await navigator.xr.requestSession('immersive-vr'), viewer.pose);
+}
+
+/** Shows a message in the place of the hint. */
+function tell(text) {
+  const hint = find('hint');
+  hint.textContent = text;
+  hint.hidden = false;
+  hint.classList.add('told');
+}
+
 const ACTIONS = {
   previous: () => cameras.length && viewer.show(viewer.shown < 0 ? cameras.length - 1 : viewer.shown - 1),
   next: () => cameras.length && viewer.show(viewer.shown + 1),
@@ -132,6 +144,7 @@ const ACTIONS = {
   mode: () => viewer.setMode(viewer.controls.mode === 'fly' ? 'orbit' : 'fly'),
   reset: () => viewer.reset(),
   fullscreen: () => (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen()),
+  headset: () => enterHeadset().catch((error) => tell(`The headset did not start: ${error.message}`)),
   help: () => (find('help-text').open ? find('help-text').close() : find('help-text').showModal()),
   hide: () => document.body.classList.toggle('bare'),
 };
@@ -147,6 +160,7 @@ for (const button of options) {
 for (const [name, action] of Object.entries(ACTIONS)) {
   find(name)?.addEventListener('click', action);
 }
+navigator.xr?.isSessionSupported('immersive-vr').then((offered) => (find('headset').hidden = !offered), console.info);
 if (!document.fullscreenEnabled) find('fullscreen').hidden = true; // on iPhones
 addEventListener('keydown', (event) => {
   const name = KEYS[event.key.toLowerCase()];

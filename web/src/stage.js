@@ -1,6 +1,6 @@
 // The scene on a canvas, rendered by three.js and Spark.
 import { SparkRenderer, SplatMesh } from '@sparkjsdev/spark';
-import { Color, PerspectiveCamera, Scene, SRGBColorSpace, WebGLRenderer } from 'three';
+import { Color, Group, PerspectiveCamera, Quaternion, Scene, SRGBColorSpace, Vector3, WebGLRenderer } from 'three';
 import { Animation } from './animation.js';
 import { ColorMap } from './colors.js';
 import { project } from './pose.js';
@@ -82,6 +82,7 @@ export class Stage {
    * still busy with the last frame, nothing is drawn, so that input never lags behind.
    */
   draw(pose, moving) {
+    if (this.renderer.xr.isPresenting) return; // the headset draws at its own pace
     const { clientWidth: width, clientHeight: height } = this.renderer.domElement;
     const ratio = this.#pixelRatio(moving);
     const state = JSON.stringify([width, height, ratio, moving, pose, this.animation?.time]);
@@ -98,6 +99,29 @@ export class Stage {
     this.#fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     this.#began = performance.now();
     gl.flush();
+  }
+
+  /** Shows the scene in a headset, level and from the pose's position, until the session ends. */
+  async enter(session, pose) {
+    const { renderer, scene, near } = this;
+    const camera = new PerspectiveCamera(50, 1, near, FAR);
+    const floor = new Group(); // where the headset's own space begins
+    const ahead = pose.forward;
+    floor.position.copy(pose.position);
+    floor.quaternion.copy(new Quaternion().setFromAxisAngle(new Vector3(0, 1, 0), Math.atan2(-ahead.x, -ahead.z)));
+    floor.add(camera);
+    scene.add(floor);
+    session.addEventListener('end', () => {
+      renderer.setAnimationLoop(null);
+      renderer.xr.enabled = false;
+      scene.remove(floor);
+      this.#size = this.#drawn = ''; // the canvas has another size now
+      this.dirty = true;
+    });
+    renderer.xr.enabled = true;
+    renderer.xr.setReferenceSpaceType('local'); // begins at the eyes
+    await renderer.xr.setSession(session);
+    renderer.setAnimationLoop(() => renderer.render(scene, camera));
   }
 
   /** Returns whether the device is still drawing the last frame. */

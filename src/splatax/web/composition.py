@@ -42,7 +42,7 @@ SECONDS = 20.0
 
 @dataclass(frozen=True)
 class Composition:
-    """What a .toml file of parts describes.
+    """A scene and its presentation, as a .toml file of parts describes them.
 
     Attributes:
         scene: all parts; `scene.chosen` applies the variants to it.

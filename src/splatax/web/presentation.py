@@ -1,4 +1,4 @@
-"""What a page offers beside the view: variants, notes at places of the scene, a start view and a flight."""
+"""Presentations of scenes on pages: variants, notes at places of the scene, a start view and a flight."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -33,7 +33,7 @@ class Hotspot:
 
 @dataclass(frozen=True)
 class Presentation:
-    """What a page offers beside the view.
+    """The offers of a page beside the view.
 
     Attributes:
         variants: options to choose from; the page opens with the first of each variant.

@@ -30,7 +30,7 @@ ABANDONED = 3600.0  # seconds after which an unfinished file is one of a process
 
 @dataclass(frozen=True)
 class Use:
-    """How much of a capture is kept on disk.
+    """Part of a capture that is kept on disk.
 
     Attributes:
         kept: number of photos.

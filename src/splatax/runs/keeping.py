@@ -1,4 +1,4 @@
-"""Where decoded photos are kept that do not fit in memory: on disk, in a folder of the user."""
+"""The place for decoded photos that do not fit in memory: on disk, in a folder of the user."""
 
 import os
 from dataclasses import replace

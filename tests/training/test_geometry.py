@@ -171,16 +171,21 @@ def test_landmarks_of_all_views_have_one_shape():
     assert landmarks_of(dataset.train) is None
 
 
+LIVING = jnp.int32(3)
+
+
 def test_flatness_is_the_mean_thickness_of_the_living():
     gaussians = with_slots([0.3, 0.7, 0.5])
     expected = 2 * np.mean(np.min(np.asarray(gaussians.scales[:3]), axis=1)) / 4
-    assert_allclose(Flatness(2.0)(gaussians, jnp.float32(4.0)), expected, rtol=1e-6)
-    gradient = jax.grad(Flatness())(gaussians, jnp.float32(4.0)).log_scales
+    assert_allclose(Flatness(2.0)(gaussians, jnp.float32(4.0), LIVING), expected, rtol=1e-6)
+    gradient = jax.grad(Flatness())(gaussians, jnp.float32(4.0), LIVING).log_scales
     assert_array_equal(gradient[3:], 0)
     assert ((np.asarray(gradient[:3]) > 0).sum(axis=1) == 1).all()
     both = Priors((Sparsity(), Flatness(2.0)))
     assert_allclose(
-        both(gaussians, jnp.float32(4)), Sparsity()(gaussians, jnp.float32(4)) + expected, rtol=1e-6
+        both(gaussians, jnp.float32(4), LIVING),
+        Sparsity()(gaussians, jnp.float32(4), LIVING) + expected,
+        rtol=1e-6,
     )
 
 

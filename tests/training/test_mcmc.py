@@ -189,17 +189,17 @@ def test_no_noise_is_no_noise():
 def test_sparsity_is_the_mean_over_the_living():
     gaussians = random_gaussians(n=10)
     expected = 0.01 * np.mean(gaussians.opacities) + 0.01 * np.mean(gaussians.scales) / 3.0
-    assert_allclose(Sparsity()(pad(gaussians, 64), jnp.float32(3.0)), expected, rtol=1e-5)
+    assert_allclose(Sparsity()(pad(gaussians, 64), jnp.float32(3.0), jnp.int32(10)), expected, rtol=1e-5)
 
 
 def test_gradient_of_sparsity_is_that_of_finite_differences(x64):
     gaussians, prior = random_gaussians(n=5, dtype=np.float64), Sparsity(opacity=0.3, scale=0.7)
-    gradient = jax.grad(prior)(gaussians, jnp.float64(2.0))
+    gradient = jax.grad(prior)(gaussians, jnp.float64(2.0), jnp.int32(5))
     for name, step in (("opacity_logits", 1e-5), ("log_scales", 1e-5)):
         field = getattr(gaussians, name)
         for index in np.ndindex(field.shape):
             sides = [
-                prior(replace(gaussians, **{name: field.at[index].add(s)}), jnp.float64(2.0))
+                prior(replace(gaussians, **{name: field.at[index].add(s)}), jnp.float64(2.0), jnp.int32(5))
                 for s in (step, -step)
             ]
             assert_allclose(getattr(gradient, name)[index], (sides[0] - sides[1]) / (2 * step), rtol=1e-6)
@@ -208,7 +208,7 @@ def test_gradient_of_sparsity_is_that_of_finite_differences(x64):
 
 
 def test_no_gradient_of_a_prior_reaches_empty_slots():
-    gradient = jax.grad(Sparsity())(pad(random_gaussians(n=3), 8), jnp.float32(1.0))
+    gradient = jax.grad(Sparsity())(pad(random_gaussians(n=3), 8), jnp.float32(1.0), jnp.int32(3))
     for leaf in jax.tree.leaves(gradient):
         assert_array_equal(leaf[3:], 0)
     assert np.all(np.asarray(gradient.opacity_logits[:3]) > 0)

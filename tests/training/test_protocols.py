@@ -48,7 +48,7 @@ class SquaredError:
 class SmallHarmonics:
     weight: float = 1e4  # harmonics begin at zero, so a small weight would change nothing in 8 steps
 
-    def __call__(self, gaussians, extent):
+    def __call__(self, gaussians, extent, living):
         return self.weight * jnp.mean(gaussians.sh[:, 1:] ** 2)
 
 

@@ -1,7 +1,7 @@
 """The training loop, a generator: progress bars, evaluation and viewers are `for` loops over it."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import jax
@@ -14,12 +14,12 @@ from splatax.errors import DatasetError
 from splatax.gaussians import Gaussians
 from splatax.low_pass import LowPass
 from splatax.training.capacity import bucket_for, pad, without_broken
-from splatax.training.feed import batches
 from splatax.training.initialize import require_visible
 from splatax.training.optimizer import inherit
 from splatax.training.recipes import Recipe
 from splatax.training.schedule import Schedule
-from splatax.training.step import Faults, TrainState, train_step
+from splatax.training.step import Faults, TrainState
+from splatax.training.steppers import Stepper, stepper_for
 
 
 @dataclass(frozen=True)
@@ -51,12 +51,14 @@ class Progress:
     loss: Float[Array, ""]
     count: int
     _state: TrainState
+    _rows: int  # of the scene, with its empty slots
+    _stepper: Stepper
     _low_pass: LowPass
 
     @property
     def state(self) -> RunState:
         """The state from which `optimize` continues after this step, valid until the next step."""
-        return RunState(self._state, self.count)
+        return RunState(self._stepper.gathered(self._state, self._rows), self.count)
 
     @property
     def faults(self) -> Faults:
@@ -78,7 +80,8 @@ class Progress:
         Render this to display a scene that grows: its shape, and with it the compiled program, changes
         rarely.
         """
-        return replace(self._state.gaussians, low_pass=self._low_pass)
+        state = self._stepper.gathered(self._state, self._rows)
+        return replace(state.gaussians, low_pass=self._low_pass)
 
 
 def fit(dataset: Dataset, recipe: Recipe) -> Gaussians:
@@ -94,8 +97,12 @@ def optimize(
     start: RunState | None = None,
     pace: Callable[[int], int | None] | None = None,
     photo_room: int | float = math.inf,
+    devices: Sequence[jax.Device] | None = None,
 ) -> Iterator[Progress]:
     """Trains a scene, and yields after each step. The same arguments give the same scene.
+
+    The number of devices does not change the scene, see `splatax.training.views`. In a run of several
+    processes, which `jax.distributed` has joined, all of them call this with the same arguments.
 
     Args:
         dataset: the capture.
@@ -106,10 +113,12 @@ def optimize(
             new total number of steps for the run, or None to keep the present one. Density control and the
             size of photos then follow the recipe's schedule at the same fraction of the run.
         photo_room: bytes of memory for decoded photos; those that do not fit are decoded for each step.
+        devices: that share the views of a step; None for as many as there are and divide the views.
 
     Raises:
         DatasetError: if there are no training views, or nothing to start from that they see.
-        ValueError: if the recipe has no steps, none are left, or its backend is not available.
+        ValueError: if the recipe has no steps, none are left, its backend is not available, or the devices do
+            not divide the views of a step.
     """
     if not dataset.train:
         raise DatasetError("The capture has no photos to train on.")
@@ -121,7 +130,8 @@ def optimize(
         require_visible(gaussians, dataset)
         padded = pad(gaussians, bucket_for(len(gaussians)))
         start = RunState(first_state(padded, recipe, dataset.extent, len(dataset.train)), len(gaussians))
-    yield from _steps(dataset, recipe, start, pace or (lambda step: None), photo_room)
+    stepper = stepper_for(recipe, devices)
+    yield from _steps(dataset, recipe, start, pace or (lambda step: None), photo_room, stepper)
 
 
 def first_state(gaussians: Gaussians, recipe: Recipe, extent: float, photos: int) -> TrainState:
@@ -160,6 +170,7 @@ def _steps(
     start: RunState,
     pace: Callable[[int], int | None],
     photo_room: int | float,
+    stepper: Stepper,
 ) -> Iterator[Progress]:
     state, count = start.train, start.count
     _, refine_key = _keys(recipe)
@@ -171,11 +182,12 @@ def _steps(
     if done >= total:
         raise ValueError(f"nothing left to do: {done} of {total} steps are made")
     schedule = Schedule(recipe.steps, total, recipe.resolution)
-    landmarks = bool(recipe.objective.geometry.outputs)
-    feed = batches(dataset.train, recipe.seed, done, schedule, photo_room, landmarks)
-    for step, batch in enumerate(feed, done + 1):
-        state, loss = train_step(state, batch, recipe)
+    rows, state = len(state.gaussians), stepper.placed(state)
+    feed = stepper.feed(dataset.train, recipe, done, schedule, photo_room)
+    for step, seen in enumerate(feed, done + 1):
+        state, loss = stepper.step(state, seen, recipe)
         if refinement := schedule.refinement(step, recipe.density):
+            state = stepper.gathered(state, rows)
             gaussians, broken = without_broken(state.gaussians)
             refined = recipe.density.refine(
                 state.density_state,
@@ -185,7 +197,7 @@ def _steps(
                 dataset.extent,
                 jax.random.fold_in(refine_key, step),
             )
-            count = refined.count
+            count, rows = refined.count, len(refined.gaussians)
             state = replace(
                 state,
                 gaussians=refined.gaussians,
@@ -193,7 +205,8 @@ def _steps(
                 density_state=refined.state,
                 faults=state.faults._replace(gaussians=state.faults.gaussians + broken),
             )
-        yield Progress(step, total, loss, count, state, recipe.low_pass)
+            state = stepper.placed(state)
+        yield Progress(step, total, loss, count, state, rows, stepper, recipe.low_pass)
         planned = pace(step)
         if planned is not None:
             total = schedule.total = planned

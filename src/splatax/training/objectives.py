@@ -6,7 +6,7 @@
 from collections.abc import Hashable, Mapping
 from typing import Any, Protocol, runtime_checkable
 
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from splatax.backends.protocol import Photometric
 from splatax.cameras import Camera
@@ -40,12 +40,17 @@ class Loss(Hashable, Protocol):
 class Prior(Hashable, Protocol):
     """Adds a penalty on the Gaussians to the loss."""
 
-    def __call__(self, gaussians: Gaussians, extent: Float[Array, ""]) -> Float[Array, ""]:
+    def __call__(
+        self, gaussians: Gaussians, extent: Float[Array, ""], living: Int[Array, ""]
+    ) -> Float[Array, ""]:
         """Returns the penalty, differentiable in the scene. Runs under `jit`.
 
+        It is a sum over Gaussians, so that it can be computed for one part of the scene after the other.
+
         Args:
-            gaussians: the scene; empty slots must get no gradient.
+            gaussians: the scene or a part of it; empty slots must get no gradient.
             extent: of the scene, world units.
+            living: number of living Gaussians of the whole scene, for means over them.
         """
         ...
 

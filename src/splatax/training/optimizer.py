@@ -1,6 +1,6 @@
 """The optimizer of the scene: an update rule of optax, a learning rate for each field, and noise."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any
 
@@ -46,6 +46,12 @@ class LearningRates:
     quats: float = 1e-3
     settled: float = 1.0  # final rate of all fields but the means, as a fraction of the rate above
     settling_from: float = 0.85  # fraction of the run after which these rates fall, log-linearly
+
+    def times(self, factor: float) -> "LearningRates":
+        """Returns rates that are all multiplied by a factor."""
+        settling = {"settled", "settling_from"}
+        rates = {f.name: factor * getattr(self, f.name) for f in fields(self) if f.name not in settling}
+        return replace(self, **rates)
 
     def at(self, progress: Float[Array, ""], reach: Float[Array, " m"], coefficients: int) -> Gaussians:
         """Returns the learning rates in the shape of a scene of one Gaussian, those of means also of all.

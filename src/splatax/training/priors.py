@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from splatax.gaussians import Gaussians
 from splatax.training.protocols import Prior
@@ -13,7 +13,9 @@ from splatax.training.protocols import Prior
 class NoPrior:
     """Adds no penalty."""
 
-    def __call__(self, gaussians: Gaussians, extent: Float[Array, ""]) -> Float[Array, ""]:
+    def __call__(
+        self, gaussians: Gaussians, extent: Float[Array, ""], living: Int[Array, ""]
+    ) -> Float[Array, ""]:
         """Returns zero."""
         return jnp.zeros(())
 
@@ -25,12 +27,14 @@ class Sparsity:
     opacity: float = 0.01  # weight of the mean opacity
     scale: float = 0.01  # weight of the mean standard deviation along an axis, in extents of the scene
 
-    def __call__(self, gaussians: Gaussians, extent: Float[Array, ""]) -> Float[Array, ""]:
+    def __call__(
+        self, gaussians: Gaussians, extent: Float[Array, ""], living: Int[Array, ""]
+    ) -> Float[Array, ""]:
         """Returns the penalty. Means are over the living Gaussians; empty slots get no gradient."""
-        living = gaussians.opacity_logits > -jnp.inf
-        count = jnp.maximum(jnp.sum(living), 1)
-        opacity = jnp.sum(jnp.where(living, gaussians.opacities, 0)) / count
-        scale = jnp.sum(jnp.where(living[:, None], gaussians.scales, 0)) / (3 * count)
+        lives = gaussians.opacity_logits > -jnp.inf
+        count = jnp.maximum(living, 1)
+        opacity = jnp.sum(jnp.where(lives, gaussians.opacities, 0)) / count
+        scale = jnp.sum(jnp.where(lives[:, None], gaussians.scales, 0)) / (3 * count)
         return self.opacity * opacity + self.scale * scale / extent
 
 
@@ -40,12 +44,13 @@ class Flatness:
 
     thickness: float = 1.0  # weight of the mean of the least standard deviation, in extents of the scene
 
-    def __call__(self, gaussians: Gaussians, extent: Float[Array, ""]) -> Float[Array, ""]:
+    def __call__(
+        self, gaussians: Gaussians, extent: Float[Array, ""], living: Int[Array, ""]
+    ) -> Float[Array, ""]:
         """Returns the penalty. The mean is over the living Gaussians; empty slots get no gradient."""
-        living = gaussians.opacity_logits > -jnp.inf
-        count = jnp.maximum(jnp.sum(living), 1)
+        lives = gaussians.opacity_logits > -jnp.inf
         least = jnp.min(gaussians.scales, axis=1)
-        return self.thickness * jnp.sum(jnp.where(living, least, 0)) / count / extent
+        return self.thickness * jnp.sum(jnp.where(lives, least, 0)) / jnp.maximum(living, 1) / extent
 
 
 @dataclass(frozen=True)
@@ -54,6 +59,8 @@ class Priors:
 
     parts: tuple[Prior, ...]
 
-    def __call__(self, gaussians: Gaussians, extent: Float[Array, ""]) -> Float[Array, ""]:
+    def __call__(
+        self, gaussians: Gaussians, extent: Float[Array, ""], living: Int[Array, ""]
+    ) -> Float[Array, ""]:
         """Returns the sum of the penalties."""
-        return sum((part(gaussians, extent) for part in self.parts), start=jnp.zeros(()))
+        return sum((part(gaussians, extent, living) for part in self.parts), start=jnp.zeros(()))

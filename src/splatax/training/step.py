@@ -8,9 +8,10 @@ import jax
 import jax.numpy as jnp
 import optax
 from jax import lax
-from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt8
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt8
 
 from splatax import backends
+from splatax.cameras import Camera
 from splatax.drawn import Seen, unrolled
 from splatax.gaussians import Gaussians
 from splatax.outputs import over
@@ -124,40 +125,65 @@ def compare(
     state: TrainState, batch: Batch, recipe: Recipe, background: Float[Array, "3"]
 ) -> tuple[Float[Array, ""], Splats, Gradients]:
     """Returns the loss of a view, its splats, and the gradients of the loss."""
-    photo = photo_over(batch.photo, background)
-    kernels = backends.resolve(recipe.backend)
-    objective = recipe.objective
-
-    def image_loss(splats, appearance, channels, camera):
-        sums, alpha = composite(splats, splats.colors, backend=kernels)
-        image = over(recipe.appearance(appearance, sums, alpha), alpha, background)
-        loss = objective.loss(image, photo, batch.mask, kernels.photometric)
-        if not channels:
-            return loss
-        # Drawn apart, so that `pull` tells what the photo misses, and kernels need not know it of so many.
-        seen = unrolled(Seen(replace(splats, pull=None), None, camera))
-        images = geometry.drawn(objective.geometry.outputs, channels, seen, kernels)
-        return loss + objective.geometry(images, camera, batch.landmarks, state.step / state.total)
-
-    # The filter keeps its size in pixels of the full photo, so that smaller photos do not blur the scene.
-    low_pass = replace(recipe.low_pass, variance=recipe.low_pass.variance / batch.divisor**2)
 
     def project_view(gaussians, correction):
         camera = recipe.camera_refinement(correction, batch.camera, state.extent)
-        splats = project(gaussians, camera, low_pass=low_pass, backend=kernels)
-        channels = geometry.channels(objective.geometry.outputs, Seen(splats, gaussians, camera))
-        return (recipe.density.watch(splats), objective.prior(gaussians, state.extent), channels), camera
+        prior = recipe.objective.prior(gaussians, state.extent, living)
+        return (shown(gaussians, camera, recipe, batch.divisor), prior), camera
 
+    living = jnp.sum(state.gaussians.opacity_logits > -jnp.inf)
     appearance = recipe.appearance.for_photo(state.appearance, batch.source)
     correction = recipe.camera_refinement.for_photo(state.cameras, batch.source)
-    (splats, prior, channels), pull_back, camera = jax.vjp(
-        project_view, state.gaussians, correction, has_aux=True
+    (view, prior), pull_back, camera = jax.vjp(project_view, state.gaussians, correction, has_aux=True)
+    progress = state.step / state.total
+    target = Target(batch.photo, batch.mask, batch.landmarks, background, camera, progress)
+    loss, (d_view, d_appearance) = jax.value_and_grad(image_loss, argnums=(0, 1))(
+        view, appearance, target, recipe
     )
-    loss, (d_splats, d_appearance, d_channels) = jax.value_and_grad(image_loss, argnums=(0, 1, 2))(
-        splats, appearance, channels, camera
-    )
-    d_gaussians, d_camera = pull_back((d_splats, jnp.ones_like(prior), d_channels))
-    return loss, splats, Gradients(d_gaussians, d_splats, d_appearance, d_camera)
+    d_gaussians, d_camera = pull_back((d_view, jnp.ones_like(prior)))
+    return loss, view.splats, Gradients(d_gaussians, d_view.splats, d_appearance, d_camera)
+
+
+class Shown(NamedTuple):
+    """What is drawn of a view: its splats, and what the geometry penalty blends beside their colours."""
+
+    splats: Splats
+    channels: dict[str, Float[Array, "m _"]]
+
+
+class Target(NamedTuple):
+    """What the drawing of a view is compared with."""
+
+    photo: UInt8[Array, "h w c"]
+    mask: Bool[Array, "h w"] | None
+    landmarks: Float[Array, "k 3"] | None
+    background: Float[Array, "3"]
+    camera: Camera  # as corrected
+    progress: Float[Array, ""]  # fraction of the run that is done
+
+
+def shown(gaussians: Gaussians, camera: Camera, recipe: Recipe, divisor: int) -> Shown:
+    """Projects a scene, or a part of it, for a photo that is smaller by `divisor`."""
+    # The filter keeps its size in pixels of the full photo, so that smaller photos do not blur the scene.
+    low_pass = replace(recipe.low_pass, variance=recipe.low_pass.variance / divisor**2)
+    splats = project(gaussians, camera, low_pass=low_pass, backend=backends.resolve(recipe.backend))
+    channels = geometry.channels(recipe.objective.geometry.outputs, Seen(splats, gaussians, camera))
+    return Shown(recipe.density.watch(splats), channels)
+
+
+def image_loss(view: Shown, appearance: Any, target: Target, recipe: Recipe) -> Float[Array, ""]:
+    """Draws a view in the colours of its photo, and returns the loss."""
+    kernels, objective = backends.resolve(recipe.backend), recipe.objective
+    sums, alpha = composite(view.splats, view.splats.colors, backend=kernels)
+    image = over(recipe.appearance(appearance, sums, alpha), alpha, target.background)
+    photo = photo_over(target.photo, target.background)
+    loss = objective.loss(image, photo, target.mask, kernels.photometric)
+    if not view.channels:
+        return loss
+    # Drawn apart, so that `pull` tells what the photo misses, and kernels need not know it of so many.
+    seen = unrolled(Seen(replace(view.splats, pull=None), None, target.camera))
+    images = geometry.drawn(objective.geometry.outputs, view.channels, seen, kernels)
+    return loss + objective.geometry(images, target.camera, target.landmarks, target.progress)
 
 
 def photo_over(photo: UInt8[Array, "h w c"], background: Float[Array, "3"]) -> Float[Array, "h w 3"]:

@@ -1,0 +1,208 @@
+"""The devices of a run, and which rows of the scene each of them owns.
+
+Rows are dealt in blocks of `BLOCK`: block b belongs to device b mod D, so a scene that keeps its living
+Gaussians first stays balanced. What is done to a row depends on its block alone, never on D: XLA rounds
+elementwise work differently for arrays of other lengths, so work on rows is done in blocks of one length.
+
+This is the only file that knows where rows live.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.experimental import multihost_utils
+from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
+from jaxtyping import Array
+
+from splatax.gaussians import Gaussians
+from splatax.training.capacity import pad
+from splatax.training.step import TrainState
+
+AXIS = "device"
+BLOCK = 1024  # rows
+ROWS, VIEWS, EVERYWHERE = PartitionSpec(AXIS), PartitionSpec(AXIS), PartitionSpec()
+
+
+def devices_for(views: int, devices: Sequence[jax.Device] | None = None) -> Mesh:
+    """Returns the devices that share a step of so many views, as many of them as divide the views.
+
+    Args:
+        views: of a step.
+        devices: to choose from, the first ones; None for all that JAX has, of all processes.
+
+    Raises:
+        ValueError: if devices are named and do not divide the views.
+    """
+    found = list(jax.devices() if devices is None else devices)
+    count = max(d for d in range(1, min(len(found), views) + 1) if views % d == 0)
+    if devices is not None and count != len(found):
+        raise ValueError(
+            f"{views} views a step do not divide among {len(found)} devices. Choose a multiple "
+            f"of {len(found)} views, or give {count} devices."
+        )
+    return Mesh(np.array(found[:count]), (AXIS,), axis_types=(AxisType.Auto,))
+
+
+def placement(state: TrainState) -> TrainState:
+    """Returns where each array of a state lives: rows of the scene on their owners, all else everywhere."""
+    rows = state.gaussians.means.shape[0]
+
+    def by_row(leaf: Array) -> PartitionSpec:
+        return ROWS if leaf.ndim and leaf.shape[0] == rows else EVERYWHERE
+
+    everywhere = jax.tree.map(lambda _: EVERYWHERE, state)
+    return replace(
+        everywhere,
+        gaussians=jax.tree.map(by_row, state.gaussians),
+        opt_state=jax.tree.map(by_row, state.opt_state),
+        density_state=jax.tree.map(by_row, state.density_state),
+    )
+
+
+@dataclass(frozen=True)
+class Dealt:
+    """The state of a run on several devices.
+
+    Attributes:
+        mesh: the devices.
+    """
+
+    mesh: Mesh
+
+    def placed(self, state: TrainState) -> TrainState:
+        """Copies a state whose rows are in order onto the devices; empty slots fill up the blocks.
+
+        Each device gets at least two blocks: XLA compiles a loop that runs once with what surrounds it, which
+        then rounds differently.
+        """
+        unit = self.mesh.size * BLOCK
+        state = _resized(state, max(-(-len(state.gaussians) // unit), 2) * unit)
+        return jax.tree.map(self._put, state, placement(state))
+
+    def gathered(self, state: TrainState, rows: int) -> TrainState:
+        """Copies a state from the devices: its first `rows` rows, in order. Every process gets all of it."""
+        whole = jax.tree.map(self._get, state, placement(state))
+        return _resized(whole, rows)
+
+    def views(self, leaf: np.ndarray, views: int) -> Array:
+        """Sends arrays of the views that this process draws to the devices that draw them."""
+        sharding = NamedSharding(self.mesh, VIEWS)
+        return jax.make_array_from_process_local_data(sharding, leaf, (views, *leaf.shape[1:]))
+
+    def everywhere(self, leaf: np.ndarray) -> Array:
+        """Copies an array that all processes have to all devices."""
+        return jax.device_put(leaf, NamedSharding(self.mesh, EVERYWHERE))
+
+    def drawn_here(self, views: int) -> range:
+        """Returns the views of a step that devices of this process draw."""
+        own = [i for i, d in enumerate(self.mesh.devices.flat) if d.process_index == jax.process_index()]
+        each = views // self.mesh.size
+        return range(own[0] * each, (own[-1] + 1) * each) if own else range(0)
+
+    def _put(self, leaf: Array, place: PartitionSpec) -> Array:
+        if _is_key(leaf):
+            return jax.random.wrap_key_data(self._put(jax.random.key_data(leaf), place))
+        host = np.asarray(leaf)
+        if place == ROWS:
+            host = dealt(host, self.mesh.size)
+        return jax.device_put(host, NamedSharding(self.mesh, place))
+
+    def _get(self, leaf: Array, place: PartitionSpec) -> Array:
+        if _is_key(leaf):
+            return jax.random.wrap_key_data(self._get(jax.random.key_data(leaf), place))
+        host = leaf if leaf.is_fully_addressable else multihost_utils.process_allgather(leaf, tiled=True)
+        host = np.asarray(host)
+        return jnp.asarray(in_order(host, self.mesh.size) if place == ROWS else host)
+
+
+def dealt(rows: np.ndarray, devices: int) -> np.ndarray:
+    """Returns rows by device, from rows in order."""
+    blocks = rows.reshape(-1, devices, BLOCK, *rows.shape[1:])
+    return blocks.swapaxes(0, 1).reshape(rows.shape)
+
+
+def in_order(rows: np.ndarray, devices: int) -> np.ndarray:
+    """Returns rows in order, from rows by device."""
+    blocks = rows.reshape(devices, -1, BLOCK, *rows.shape[1:])
+    return blocks.swapaxes(0, 1).reshape(rows.shape)
+
+
+def exchange(leaf: Array) -> Array:
+    """Sends rows from [all views, own rows] to [own views, all rows in order]. Inside `shard_map`."""
+    devices = lax.axis_size(AXIS)
+    blocks = leaf.reshape(leaf.shape[0], -1, 1, BLOCK, *leaf.shape[2:])
+    blocks = lax.all_to_all(blocks, AXIS, split_axis=0, concat_axis=2, tiled=True)
+    return blocks.reshape(leaf.shape[0] // devices, -1, *leaf.shape[2:])
+
+
+def exchange_back(leaf: Array) -> Array:
+    """Sends rows from [own views, all rows in order] to [all views, own rows]: the inverse of `exchange`."""
+    devices = lax.axis_size(AXIS)
+    blocks = leaf.reshape(leaf.shape[0], -1, devices, BLOCK, *leaf.shape[2:])
+    blocks = lax.all_to_all(blocks, AXIS, split_axis=2, concat_axis=0, tiled=True)
+    return blocks.reshape(leaf.shape[0] * devices, -1, *leaf.shape[2:])
+
+
+def own_views(leaf: Array) -> Array:
+    """Returns the part of an array with one row for each view that is of this device. Inside `shard_map`."""
+    each = leaf.shape[0] // lax.axis_size(AXIS)
+    return lax.dynamic_slice_in_dim(leaf, lax.axis_index(AXIS) * each, each)
+
+
+def from_all_views(leaf: Array) -> Array:
+    """Returns the rows of all views, from those of this device. Inside `shard_map`."""
+    return lax.all_gather(leaf, AXIS, tiled=True)
+
+
+def by_block(function: Callable[..., Any], *rows: Any) -> Any:
+    """Applies a function to each block of own rows, with its number in the scene. Inside `shard_map`.
+
+    Args:
+        function: gets the number of a block and its part of each of `rows`; returns arrays of so many rows.
+        rows: pytrees of arrays with a first axis of own rows.
+    """
+    blocks = jax.tree.map(lambda leaf: leaf.reshape(-1, BLOCK, *leaf.shape[1:]), rows)
+    count = jax.tree.leaves(blocks)[0].shape[0]
+    numbers = jnp.arange(count) * lax.axis_size(AXIS) + lax.axis_index(AXIS)
+    results = lax.map(lambda block: function(block[0], *block[1]), (numbers, blocks))
+    return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), results)
+
+
+def sum_in_order(blocks: Array) -> Array:
+    """Returns the sum over the blocks of all devices, added in the order of the scene. Inside `shard_map`."""
+    gathered = lax.all_gather(blocks, AXIS, axis=1)
+    ordered = gathered.reshape(-1, *blocks.shape[1:])
+    return lax.scan(lambda total, block: (total + block, None), jnp.zeros_like(ordered[0]), ordered)[0]
+
+
+def _resized(state: TrainState, rows: int) -> TrainState:
+    """Returns a state with another number of empty slots at its end."""
+    places = placement(state)
+    now = len(state.gaussians)
+
+    def resized(leaf: Array, place: PartitionSpec) -> Array:
+        if place != ROWS:
+            return leaf
+        more = [(0, max(rows - now, 0))] + [(0, 0)] * (leaf.ndim - 1)
+        return jnp.pad(leaf, more)[:rows]
+
+    def scene(gaussians: Gaussians) -> Gaussians:
+        return pad(gaussians, rows) if rows > now else jax.tree.map(lambda leaf: leaf[:rows], gaussians)
+
+    other = partial(jax.tree.map, resized)
+    return replace(
+        state,
+        gaussians=scene(state.gaussians),
+        opt_state=other(state.opt_state, places.opt_state),
+        density_state=other(state.density_state, places.density_state),
+    )
+
+
+def _is_key(leaf: Array) -> bool:
+    return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)

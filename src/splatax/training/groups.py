@@ -1,0 +1,112 @@
+"""The views of training steps that use several: groups of photos of one size, in random order, read ahead."""
+
+import math
+from collections.abc import Hashable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from itertools import count, islice
+
+import jax
+import numpy as np
+
+from splatax.dataset import Pixels, View
+from splatax.training.comparison import Views
+from splatax.training.devices import Dealt
+from splatax.training.feed import landmarks_of, order, sources
+from splatax.training.photo_cache import Frame, PhotoCache
+from splatax.training.protocols import ResolutionSchedule, Source
+from splatax.training.recipes import Recipe
+
+
+def steps_of(
+    views: Sequence[View],
+    recipe: Recipe,
+    start: int,
+    resolution: ResolutionSchedule,
+    dealt: Dealt,
+    room: int | float = math.inf,
+) -> Iterator[Views]:
+    """Yields the views of each step, without end; the next ones are read while the caller trains.
+
+    A process reads only the photos that its own devices draw.
+
+    Args:
+        views: the training views, at least one.
+        recipe: the settings.
+        start: number of steps to skip; what follows does not depend on it.
+        resolution: size of the photos at each step.
+        dealt: the devices.
+        room: bytes of memory for decoded photos.
+    """
+    cache, origin = PhotoCache(views, room), sources(views)
+    known = landmarks_of(views) if recipe.objective.geometry.outputs else None
+    size = recipe.views
+    here = dealt.drawn_here(size)
+
+    def read(group: list[int], step: int) -> Views:
+        camera = views[group[0]].camera
+        divisor = resolution.divisor(step, (camera.width, camera.height))
+        frames = [cache.frame(group[place], divisor) for place in here]
+        sent = _sent([views[index] for index in group], [origin[i] for i in group], frames, divisor, dealt)
+        if known is None:
+            return sent
+        return replace(sent, landmarks=dealt.views(known[[group[place] for place in here]], size))
+
+    groups = islice(grouped([kind_of(view) for view in views], size, recipe.seed), start, None)
+    with ThreadPoolExecutor(1) as reader:
+        ahead = reader.submit(read, next(groups), start + 1)
+        for step in count(start + 1):
+            ready = ahead.result()
+            ahead = reader.submit(read, next(groups), step + 1)
+            yield ready
+
+
+def grouped(kinds: Sequence[Hashable], size: int, seed: int) -> Iterator[list[int]]:
+    """Yields groups of indices whose kinds are equal, without end.
+
+    Views come in the random order of `feed.order`; those of a kind that do not fill a group wait for the next
+    epoch. A kind with fewer views than a group has the same view in it more than once.
+    """
+    waiting: dict[Hashable, list[int]] = {}
+    for index in order(len(kinds), seed, 0):
+        group = waiting.setdefault(kinds[index], [])
+        group.append(index)
+        if len(group) == size:
+            yield waiting.pop(kinds[index])
+
+
+def kind_of(view: View) -> Hashable:
+    """Returns what the views of a step have in common: size, lens model, and whether there is a mask."""
+    camera = view.camera
+    return camera.width, camera.height, jax.tree.structure(camera), view.mask is None
+
+
+def _sent(views: list[View], sources: list[Source], frames: list[Frame], divisor: int, dealt: Dealt) -> Views:
+    """Sends the views of a step to the devices."""
+    first = views[0].camera
+    size = first.width // divisor, first.height // divisor
+    cameras = [view.camera if divisor == 1 else view.camera.resized(*size) for view in views]
+    camera, source = (
+        jax.tree.map(
+            lambda *leaves: dealt.everywhere(np.stack([np.asarray(leaf) for leaf in leaves])), *trees
+        )
+        for trees in (cameras, sources)
+    )
+    masks = [mask for _, _, mask in frames if mask is not None]
+    return Views(
+        camera,
+        dealt.views(np.stack(_alike([photo for _, photo, _ in frames])), len(views)),
+        dealt.views(np.stack(masks), len(views)) if masks else None,
+        source,
+        divisor=divisor,
+    )
+
+
+def _alike(photos: list[Pixels]) -> list[Pixels]:
+    """Returns photos with the same channels: opaque ones get alpha if others of the step have it."""
+    if len({photo.shape[2] for photo in photos}) == 1:
+        return photos
+    return [
+        photo if photo.shape[2] == 4 else np.dstack([photo, np.full_like(photo[..., 0], 255)])
+        for photo in photos
+    ]

@@ -1,0 +1,111 @@
+"""How steps are made: on one view by one device, or on several views by several devices."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from splatax.dataset import View
+from splatax.training.comparison import Views
+from splatax.training.devices import Dealt, devices_for
+from splatax.training.feed import Batch, batches
+from splatax.training.groups import steps_of
+from splatax.training.recipes import Recipe
+from splatax.training.schedule import Schedule
+from splatax.training.step import TrainState, train_step
+from splatax.training.views import step_on_views
+
+
+@runtime_checkable
+class Stepper(Protocol):
+    """Feeds and makes steps, and knows where the arrays of a run live."""
+
+    def placed(self, state: TrainState) -> TrainState:
+        """Returns a state for `step`, from one whose rows are in order."""
+        ...
+
+    def gathered(self, state: TrainState, rows: int) -> TrainState:
+        """Returns the first `rows` rows of a state in order, valid until the next step."""
+        ...
+
+    def feed(
+        self, views: Sequence[View], recipe: Recipe, done: int, schedule: Schedule, room: int | float
+    ) -> Iterator[Any]:
+        """Yields what each step from `done` on learns from, without end."""
+        ...
+
+    def step(self, state: TrainState, seen: Any, recipe: Recipe) -> tuple[TrainState, Float[Array, ""]]:
+        """Makes a step; returns the new state and the loss. The old state is donated."""
+        ...
+
+
+class OneView:
+    """Steps on one view, on JAX's default device."""
+
+    def placed(self, state: TrainState) -> TrainState:
+        """Returns the state as it is."""
+        return state
+
+    def gathered(self, state: TrainState, rows: int) -> TrainState:
+        """Returns the state as it is."""
+        return state
+
+    def feed(
+        self, views: Sequence[View], recipe: Recipe, done: int, schedule: Schedule, room: int | float
+    ) -> Iterator[Batch]:
+        """Yields one view after the other."""
+        return batches(views, recipe.seed, done, schedule, room, bool(recipe.objective.geometry.outputs))
+
+    def step(self, state: TrainState, seen: Batch, recipe: Recipe) -> tuple[TrainState, Float[Array, ""]]:
+        """Makes a step on one view."""
+        return train_step(state, seen, recipe)
+
+
+@dataclass(frozen=True)
+class SeveralViews:
+    """Steps on several views, each drawn by one of several devices.
+
+    Attributes:
+        dealt: the devices.
+    """
+
+    dealt: Dealt
+
+    def placed(self, state: TrainState) -> TrainState:
+        """Deals the rows of a state to the devices."""
+        return self.dealt.placed(state)
+
+    def gathered(self, state: TrainState, rows: int) -> TrainState:
+        """Collects the rows of a state from the devices."""
+        return self.dealt.gathered(state, rows)
+
+    def feed(
+        self, views: Sequence[View], recipe: Recipe, done: int, schedule: Schedule, room: int | float
+    ) -> Iterator[Views]:
+        """Yields the views of one step after the other."""
+        return steps_of(views, recipe, done, schedule, self.dealt, room)
+
+    def step(self, state: TrainState, seen: Views, recipe: Recipe) -> tuple[TrainState, Float[Array, ""]]:
+        """Makes a step on several views."""
+        every = jnp.asarray(recipe.sh.every)
+        return step_on_views(state, seen, recipe.optimizer.rates, every, recipe, self.dealt.mesh)
+
+
+def stepper_for(recipe: Recipe, devices: Sequence[jax.Device] | None) -> Stepper:
+    """Returns how the steps of a recipe are made.
+
+    Args:
+        recipe: the settings.
+        devices: on which; None for as many as divide the views of a step.
+
+    Raises:
+        ValueError: if the devices do not divide the views.
+    """
+    if recipe.views < 1:
+        raise ValueError(f"a step needs at least one view, not {recipe.views}")
+    if recipe.views == 1 and devices is None:
+        return OneView()
+    return SeveralViews(Dealt(devices_for(recipe.views, devices)))

@@ -1,0 +1,79 @@
+"""Trains a tiny capture on some of eight host devices and prints a digest; `test_devices.py` calls it.
+
+It is a program of its own, because the number of devices is fixed when JAX starts.
+"""
+
+import argparse
+import hashlib
+from dataclasses import replace
+
+parser = argparse.ArgumentParser()
+parser.add_argument("recipe", choices=["default", "classic"])
+parser.add_argument("--devices", type=int, nargs="+", default=[8], help="a run for each number")
+parser.add_argument("--per-photo", action="store_true", help="with exposures and refined poses")
+parser.add_argument("--geometry", action="store_true", help="with penalties on surfaces")
+parser.add_argument("--resume", action="store_true", help="from half of the run on the devices before")
+parser.add_argument("--host", type=int, nargs=3, metavar=("PORT", "COUNT", "INDEX"))
+options = parser.parse_args()
+
+import jax  # noqa: E402
+
+jax.config.update("jax_num_cpu_devices", 8 if options.host is None else 8 // options.host[1])
+if options.host is not None:
+    port, count, index = options.host
+    jax.config.update("jax_cpu_collectives_implementation", "gloo")
+    jax.distributed.initialize(f"127.0.0.1:{port}", count, index)
+
+import numpy as np  # noqa: E402
+from test_training import capture  # noqa: E402
+
+import splatax as sx  # noqa: E402
+from splatax.training import checkpoint  # noqa: E402
+from splatax.training.appearance import Exposure  # noqa: E402
+from splatax.training.camera_refinement import Poses  # noqa: E402
+from splatax.training.density import Classic  # noqa: E402
+from splatax.training.density.growth import ByStep  # noqa: E402
+from splatax.training.geometry import Surfaces  # noqa: E402
+from splatax.training.recipes import ShSchedule, with_views  # noqa: E402
+
+STEPS, VIEWS = 8, 8
+
+
+def recipe() -> sx.Recipe:
+    """A short run of eight views a step, with refinements."""
+    made = sx.recipes.default(STEPS, max_gaussians=1200)
+    made = replace(made, density=replace(made.density, every=2, start=1, until=7, growth=ByStep(full=6)))
+    if options.recipe == "classic":
+        density = Classic(every=2, start=1, until=7, pull_threshold=1e-6, max_gaussians=4000)
+        made = sx.Recipe(steps=STEPS, density=density)
+    if options.per_photo:
+        made = replace(made, appearance=Exposure(), camera_refinement=Poses())
+    if options.geometry:
+        made = replace(made, objective=replace(made.objective, geometry=Surfaces()))
+    return with_views(replace(made, sh=ShSchedule(1, 2), backend="cpu"), VIEWS)
+
+
+def digest(state) -> str:
+    found = hashlib.sha256()
+    for leaf in jax.tree.leaves(
+        (
+            state.train.gaussians,
+            state.train.opt_state,
+            state.train.density_state,
+            state.train.appearance,
+            state.train.cameras,
+        )
+    ):
+        found.update(np.asarray(leaf).tobytes())
+    return found.hexdigest()[:16]
+
+
+dataset, start = capture(views=12), None
+for number in options.devices:
+    here = jax.devices()[:number]
+    for progress in sx.optimize(dataset, recipe(), start, devices=here):
+        if options.resume and start is None and progress.step == STEPS // 2:
+            start = checkpoint.restore(checkpoint.take(progress.state, {}, {}), recipe())
+            break
+    else:
+        print(number, progress.count, digest(progress.state), float(progress.loss))

@@ -1,0 +1,147 @@
+"""A step of several views gives the same scene, bit for bit, on any number of devices and processes."""
+
+import os
+import socket
+import subprocess
+import sys
+from functools import partial
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+from numpy.testing import assert_allclose
+from test_training import RECIPE, capture, run
+
+import splatax as sx
+from splatax import backends
+from splatax.training.density import NoDensityControl
+from splatax.training.devices import devices_for
+from splatax.training.feed import FIRST, batch
+from splatax.training.groups import grouped
+from splatax.training.loop import first_state
+from splatax.training.optimizer import LearningRates, Optimizer
+from splatax.training.recipes import ShSchedule, with_views
+from splatax.training.step import compare
+
+HERE = Path(__file__).parent
+needs_cpu = pytest.mark.skipif(
+    backends.why_unavailable("cpu") is not None, reason="only the native backend computes each row alone"
+)
+
+
+def program(*arguments):
+    return [sys.executable, str(HERE / "on_devices.py"), *arguments]
+
+
+def results(output):
+    """Number of Gaussians and digest by number of devices."""
+    return {int(n): rest for n, *rest in (line.split() for line in output.splitlines() if line)}
+
+
+def trained(*arguments):
+    found = subprocess.run(program(*arguments), check=True, capture_output=True, text=True, env=environment())
+    return results(found.stdout)
+
+
+def environment():
+    return os.environ | {"PYTHONPATH": f"{HERE.parent}:{HERE}"}
+
+
+@needs_cpu
+@pytest.mark.parametrize(
+    "options",
+    [("default",), ("default", "--geometry"), ("classic", "--per-photo")],
+    ids=["default", "geometry", "classic with exposures and poses"],
+)
+def test_scene_and_moments_are_the_same_bits_on_1_2_and_8_devices(options):
+    found = trained(*options, "--devices", "1", "2", "8")
+    assert len(found) == 3
+    assert found[1] == found[2] == found[8]
+    assert int(found[1][0]) > 80, "the scene must have grown, so that refinement is part of the comparison"
+
+
+@needs_cpu
+def test_a_run_resumes_on_another_number_of_devices_with_the_same_bits():
+    whole = trained("default", "--devices", "8")
+    resumed = trained("default", "--resume", "--devices", "2", "8")
+    assert whole[8] == resumed[8]
+
+
+@needs_cpu
+@pytest.mark.slow
+def test_two_processes_of_four_devices_train_the_same_bits_as_one_of_eight():
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = str(free.getsockname()[1])
+    alone = trained("default", "--devices", "8")
+    both = [
+        subprocess.Popen(
+            program("default", "--host", port, "2", index),
+            stdout=subprocess.PIPE,
+            text=True,
+            env=environment(),
+        )
+        for index in ("0", "1")
+    ]
+    outputs = [process.communicate()[0] for process in both]
+    assert [process.returncode for process in both] == [0, 0]
+    assert results(outputs[0]) == results(outputs[1]) == alone
+
+
+def test_training_on_several_views_a_step_learns():
+    dataset = capture()
+    recipe = with_views(RECIPE, 5)
+    history = run(dataset, recipe)
+    before = recipe.initialization(dataset, 1, 0)
+    after = history[-1][3].gaussians
+    assert history[-1][2] > 80
+    assert sx.evaluate(after, dataset.test).psnr > sx.evaluate(before, dataset.test).psnr + 3
+
+
+def test_a_step_on_several_views_follows_the_mean_of_their_gradients():
+    dataset = capture(views=5)
+    optimizer = Optimizer(rule=partial(optax.sgd, 1.0), rates=LearningRates(sh_rest=0.0, settled=1.0))
+    density, sh = NoDensityControl(), ShSchedule(0)
+    recipe = sx.Recipe(steps=1, views=4, optimizer=optimizer, density=density, sh=sh)
+    start = recipe.initialization(dataset, 0, 0)
+    state = first_state(start, recipe, 1.0, 4)
+    gradients = [
+        compare(state, batch(view.camera, view.pixels(), None, FIRST, 1), recipe, jnp.zeros(3))[2].gaussians
+        for view in dataset.train
+    ]
+    mean = jax.tree.map(lambda *leaves: sum(leaves) / 4, *gradients)
+    (progress,) = sx.optimize(dataset, recipe)
+    for name, rate in (("log_scales", 5e-3), ("opacity_logits", 0.05), ("sh", 2.5e-3)):
+        moved = getattr(progress.gaussians, name) - getattr(start, name)
+        expected = -rate * getattr(mean, name)
+        assert_allclose(moved, expected, atol=3e-7)
+        assert np.abs(expected).max() > 3e-6
+
+
+def test_views_of_a_step_are_of_one_kind_and_all_are_used_equally_often():
+    kinds = ["wide"] * 5 + ["tall"] * 3
+    stream = grouped(kinds, 2, seed=0)
+    groups = [next(stream) for _ in range(400)]
+    assert all(kinds[a] == kinds[b] for a, b in groups)
+    counts = np.bincount(np.concatenate(groups), minlength=8)
+    assert counts.max() - counts.min() <= 1
+
+
+def test_a_kind_with_fewer_views_than_a_step_waits_and_is_not_lost():
+    stream = grouped(["wide"] * 4 + ["tall"], 2, seed=0)
+    assert [4, 4] in [next(stream) for _ in range(8)]
+
+
+def test_devices_that_do_not_divide_the_views_are_refused():
+    with pytest.raises(ValueError, match="do not divide"):
+        devices_for(3, jax.devices() * 2)
+
+
+def test_rates_rise_with_the_root_of_the_views():
+    recipe = sx.recipes.default(1000, max_gaussians=100)
+    rates = with_views(recipe, 4).optimizer.rates
+    assert rates.means == 2 * recipe.optimizer.rates.means
+    assert rates.settled == recipe.optimizer.rates.settled

@@ -33,6 +33,7 @@ from splatax.training.recipes import PRESETS
 
 LOWEST = {
     "steps": 1,
+    "views": 1,
     "max_gaussians": 1,
     "seed": 0,
     "eval_every": 0,
@@ -52,6 +53,7 @@ class Settings:
     budget: str | None = None
     memory: str | None = None
     steps: int = 30_000
+    views: int = 1
     max_gaussians: Literal["auto"] | int = "auto"
     downscale: Downscale = "auto"
     hold_out: str | None = None
@@ -123,7 +125,8 @@ class Settings:
         Raises:
             InputError: if the backend cannot run here.
         """
-        recipe = PRESETS[self.recipe].build(steps=self.steps, max_gaussians=self.most(dataset))
+        preset = PRESETS[self.recipe]
+        recipe = preset.build(steps=self.steps, max_gaussians=self.most(dataset), views=self.views)
         if self.geometry:
             recipe = replace(recipe, objective=replace(recipe.objective, geometry=Surfaces()))
         return replace(

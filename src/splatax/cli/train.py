@@ -99,6 +99,10 @@ class Train:
             InputError: if a budget has nothing left to plan.
         """
         name = "within" if self.limits.within is not None else "budget"
+        if settings.views > 1 and self.limits.steps is None:
+            raise InputError(
+                "--views: time is planned for steps of one photo. Give the number of steps too, with --steps."
+            )
         plannable = PRESETS[settings.recipe].plannable and self.limits.steps is None
         if settings.budget is None and self.limits.within is None:
             if not plannable:

@@ -70,8 +70,11 @@ class Limits:
     """Limit the memory of the whole process, for example 4GB. Caps the number of Gaussians, and re-reads
     photos that do not fit. By default the cache of decoded photos may take half of the machine's memory."""
     steps: Count = None
-    """Number of training steps; each step uses one photo. By default as many as --budget has time for, or
-    30,000 for the recipes "classic", "absgrad" and "mcmc"."""
+    """Number of training steps; each step uses one photo, or as many as --views says. By default as many as
+    --budget has time for, or 30,000 for the recipes "classic", "absgrad" and "mcmc"."""
+    views: Count = None
+    """Number of photos that each step uses, with --steps. They are divided among all devices of this machine
+    that JAX finds; the scene depends on this number, not on that of the devices. By default 1."""
     max_gaussians: Annotated[Literal["auto"] | int | None, shown_as("{auto,N}")] = None
     """Upper limit of the number of Gaussians. "default" and "mcmc" always reach it; "classic" and "absgrad"
     rarely do. By default "auto": as many as the photos have detail for, or 5,000,000 for the latter two."""

@@ -97,7 +97,7 @@ class Dealt:
 
     def everywhere(self, leaf: np.ndarray) -> Array:
         """Copies an array that all processes have to all devices."""
-        return jax.device_put(leaf, NamedSharding(self.mesh, EVERYWHERE))
+        return self._sent(leaf, EVERYWHERE)
 
     def drawn_here(self, views: int) -> range:
         """Returns the views of a step that devices of this process draw."""
@@ -111,7 +111,12 @@ class Dealt:
         host = np.asarray(leaf)
         if place == ROWS:
             host = dealt(host, self.mesh.size)
-        return jax.device_put(host, NamedSharding(self.mesh, place))
+        return self._sent(host, place)
+
+    def _sent(self, host: np.ndarray, place: PartitionSpec) -> Array:
+        # `jax.device_put` would compare what all processes have, which must not run beside other work.
+        sharding = NamedSharding(self.mesh, place)
+        return jax.make_array_from_callback(host.shape, sharding, lambda index: host[index])
 
     def _get(self, leaf: Array, place: PartitionSpec) -> Array:
         if _is_key(leaf):

@@ -77,38 +77,6 @@ class Recipe:
         return Renderer(self.background.rgb, self.low_pass, self.backend)
 
 
-def classic(steps: int = 30_000, max_gaussians: int = 5_000_000) -> Recipe:
-    """Returns the recipe of Kerbl et al. 2023.
-
-    Density control ends halfway through the run, or after 15,000 steps if that is earlier.
-    """
-    return Recipe(steps=steps, density=Classic(until=min(15_000, steps // 2), max_gaussians=max_gaussians))
-
-
-def absgrad(steps: int = 30_000, max_gaussians: int = 5_000_000) -> Recipe:
-    """Returns the recipe of Ye et al. 2024 (AbsGS), with the threshold that gsplat recommends for it.
-
-    It differs from `classic` in that it adds up absolute values of the gradients of pixels.
-    """
-    until = min(15_000, steps // 2)
-    density = Classic(until=until, pull_threshold=8e-4, absolute=True, max_gaussians=max_gaussians)
-    return Recipe(steps=steps, density=density)
-
-
-def mcmc(steps: int = 30_000, max_gaussians: int = 1_000_000) -> Recipe:
-    """Returns the recipe of Kheradmand et al. 2024.
-
-    Growth ends at five sixths of the run, or after 25,000 steps if that is earlier.
-    """
-    return Recipe(
-        steps=steps,
-        initialization=FromPoints(opacity=0.5, scale=0.1),
-        objective=Objective(prior=Sparsity()),
-        optimizer=Optimizer(noise=Langevin()),
-        density=Mcmc(until=min(25_000, steps * 5 // 6), max_gaussians=max_gaussians),
-    )
-
-
 def with_views(recipe: Recipe, views: int) -> Recipe:
     """Returns a recipe whose steps learn from several photos each, with learning rates raised by its root.
 
@@ -119,23 +87,57 @@ def with_views(recipe: Recipe, views: int) -> Recipe:
     return replace(recipe, views=views, optimizer=replace(recipe.optimizer, rates=rates))
 
 
+def classic(steps: int = 30_000, max_gaussians: int = 5_000_000, views: int = 1) -> Recipe:
+    """Returns the recipe of Kerbl et al. 2023.
+
+    Density control ends halfway through the run, or after 15,000 steps if that is earlier.
+    """
+    density = Classic(until=min(15_000, steps // 2), max_gaussians=max_gaussians)
+    return with_views(Recipe(steps=steps, density=density), views)
+
+
+def absgrad(steps: int = 30_000, max_gaussians: int = 5_000_000, views: int = 1) -> Recipe:
+    """Returns the recipe of Ye et al. 2024 (AbsGS), with the threshold that gsplat recommends for it.
+
+    It differs from `classic` in that it adds up absolute values of the gradients of pixels.
+    """
+    until = min(15_000, steps // 2)
+    density = Classic(until=until, pull_threshold=8e-4, absolute=True, max_gaussians=max_gaussians)
+    return with_views(Recipe(steps=steps, density=density), views)
+
+
+def mcmc(steps: int = 30_000, max_gaussians: int = 1_000_000, views: int = 1) -> Recipe:
+    """Returns the recipe of Kheradmand et al. 2024.
+
+    Growth ends at five sixths of the run, or after 25,000 steps if that is earlier.
+    """
+    recipe = Recipe(
+        steps=steps,
+        initialization=FromPoints(opacity=0.5, scale=0.1),
+        objective=Objective(prior=Sparsity()),
+        optimizer=Optimizer(noise=Langevin()),
+        density=Mcmc(until=min(25_000, steps * 5 // 6), max_gaussians=max_gaussians),
+    )
+    return with_views(recipe, views)
+
+
 GROWING = 3  # `default` grows for the first 1 / GROWING of a run
 COARSE = 2  # and sees photos of half size for the first 1 / COARSE
 GROWN = 0.85  # fraction of a run after which relocation ends and the learning rates fall
 
 
-def default(steps: int = 30_000, max_gaussians: int = 1_000_000) -> Recipe:
+def default(steps: int = 30_000, max_gaussians: int = 1_000_000, views: int = 1) -> Recipe:
     """Returns the recipe with the best known results for a given number of steps.
 
     It differs from `mcmc` in that it grows early, to exactly `max_gaussians`, and in that its learning
-    rates are higher the fewer steps there are.
+    rates are higher the fewer photos it looks at.
     """
-    return Recipe(
+    recipe = Recipe(
         steps=steps,
         initialization=FromPoints(opacity=0.5, scale=0.1),
         objective=Objective(prior=Sparsity()),
         optimizer=Optimizer(
-            rates=replace(rates_for(steps), settled=0.05, settling_from=GROWN), reach=ViewDepth()
+            rates=replace(rates_for(steps * views), settled=0.05, settling_from=GROWN), reach=ViewDepth()
         ),
         density=Splitting(
             every=min(max(steps // 40, 10), 100),
@@ -148,6 +150,7 @@ def default(steps: int = 30_000, max_gaussians: int = 1_000_000) -> Recipe:
         sh=ShSchedule(every=max(steps // 20, 1)),
         background=Random(),
     )
+    return with_views(recipe, views)
 
 
 def rates_for(steps: int) -> LearningRates:
@@ -212,7 +215,7 @@ class Preset:
     """A recipe for any number of steps, with the defaults that go with it.
 
     Attributes:
-        build: returns the recipe, from `steps` and `max_gaussians`.
+        build: returns the recipe, from `steps`, `max_gaussians` and `views`.
         max_gaussians: returns the default for `max_gaussians` on a capture.
         random_start: initialization for captures without points.
         plannable: whether `splatax.runs.budget` can choose the steps for a given time: its model of the time

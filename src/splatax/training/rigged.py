@@ -209,7 +209,8 @@ def _step(
         given = jax.tree.map(lambda leaf: leaf[pose], settings.poses)
         joints = rig.skeleton.worlds(spun(given, turns.reshape(-1, 3)))
         splats = project(skin(gaussians, rig, joints), batch.camera, low_pass=low_pass, backend=kernels)
-        return recipe.density.watch(splats), recipe.objective.prior(gaussians, settings.extent)
+        living = jnp.sum(gaussians.opacity_logits > -jnp.inf)
+        return recipe.density.watch(splats), recipe.objective.prior(gaussians, settings.extent, living)
 
     def image_loss(splats):
         sums, alpha = composite(splats, splats.colors, backend=kernels)

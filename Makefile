@@ -4,16 +4,16 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test quick lint fuzz sanitize bench gpu-check page clean
+.PHONY: demo test slow lint fuzz sanitize bench gpu-check page clean
 
 demo: $(READY)  ## trains on a small capture that it makes itself, and prints where the page of the scene is
 	$(BIN)/splatax demo --out runs/demo --overwrite
 
-test: $(READY)  ## all tests
-	$(BIN)/python -m pytest --numprocesses auto --dist worksteal
-
-quick: $(READY)  ## without the slow ones
+test: $(READY)  ## all tests but the slow ones
 	$(BIN)/python -m pytest --numprocesses auto --dist worksteal -m "not slow"
+
+slow: $(READY)  ## tests that take many seconds each: whole commands on real captures, installation, browsers, planted mistakes
+	$(BIN)/python -m pytest --numprocesses auto --dist worksteal -m slow
 
 FUZZ_SECONDS ?= 60
 fuzz: $(READY)  ## feeds damaged files to every reader, a minute for each kind

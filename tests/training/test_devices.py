@@ -37,8 +37,9 @@ def program(*arguments):
 
 
 def results(output):
-    """Number of Gaussians and digest by number of devices."""
-    return {int(n): rest for n, *rest in (line.split() for line in output.splitlines() if line)}
+    """Number of Gaussians, digest and loss by number of devices; the library of collectives prints too."""
+    lines = [line.split() for line in output.splitlines() if line[:1].isdigit()]
+    return {int(devices): rest for devices, *rest in lines}
 
 
 def trained(*arguments):

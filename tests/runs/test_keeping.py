@@ -15,7 +15,7 @@ from splatax.runs.planning import Room
 def place(tmp_path, monkeypatch):
     monkeypatch.setenv(PLACE, str(tmp_path / "kept"))
     monkeypatch.delenv(SIZE, raising=False)
-    return tmp_path / "kept"
+    return tmp_path / "kept" / "splatax" / "photos"
 
 
 @pytest.fixture
@@ -39,6 +39,15 @@ def test_photos_that_do_not_fit_are_kept_and_can_be_removed(place, dataset, caps
     assert str(place) in capsys.readouterr().out.replace("\n", "")
     cli.main(["cache", "--clear"])
     assert not list(place.iterdir())
+
+
+def test_files_of_the_user_in_the_chosen_folder_are_never_removed(place, dataset, tmp_path):
+    own = tmp_path / "kept" / "own.npy"
+    own.parent.mkdir()
+    own.write_bytes(b"mine")
+    with_photos_kept(dataset, Room(photos=0.0))
+    cli.main(["cache", "--clear"])
+    assert own.read_bytes() == b"mine"
 
 
 def test_a_size_of_zero_keeps_nothing_and_says_so(place, dataset, monkeypatch):

@@ -18,15 +18,15 @@ MOST = "50GB"
 def user_store() -> PhotoStore | None:
     """Returns the store of decoded photos of this user; None if its size is set to 0.
 
-    Its folder is $SPLATAX_CACHE, else splatax/photos in $XDG_CACHE_HOME or ~/.cache. It takes at most
-    $SPLATAX_CACHE_SIZE, else 50 GB.
+    Its folder is splatax/photos in $SPLATAX_CACHE, else in $XDG_CACHE_HOME or ~/.cache: a folder of its own,
+    since the store removes what is in it. It takes at most $SPLATAX_CACHE_SIZE, else 50 GB.
 
     Raises:
         InputError: if the environment variable for the size makes no sense.
     """
     size = os.environ.get(SIZE) or MOST
     caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    folder = Path(os.environ.get(PLACE) or caches / "splatax" / "photos")
+    folder = Path(os.environ.get(PLACE) or caches) / "splatax" / "photos"
     if size.strip() == "0":
         return None
     try:

@@ -5,6 +5,8 @@ It is a program of its own, because the number of devices is fixed when JAX star
 
 import argparse
 import hashlib
+import math
+import re
 from dataclasses import replace
 
 parser = argparse.ArgumentParser()
@@ -12,6 +14,7 @@ parser.add_argument("recipe", choices=["default", "classic"])
 parser.add_argument("--devices", type=int, nargs="+", default=[8], help="a run for each number")
 parser.add_argument("--per-photo", action="store_true", help="with exposures and refined poses")
 parser.add_argument("--geometry", action="store_true", help="with penalties on surfaces")
+parser.add_argument("--bytes", action="store_true", help="print what a step exchanges instead of training")
 parser.add_argument("--resume", action="store_true", help="from half of the run on the devices before")
 parser.add_argument("--host", type=int, nargs=3, metavar=("PORT", "COUNT", "INDEX"))
 options = parser.parse_args()
@@ -24,19 +27,26 @@ if options.host is not None:
     jax.config.update("jax_cpu_collectives_implementation", "gloo")
     jax.distributed.initialize(f"127.0.0.1:{port}", count, index)
 
+import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 from test_training import capture  # noqa: E402
 
 import splatax as sx  # noqa: E402
+from splatax import backends  # noqa: E402
 from splatax.training import checkpoint  # noqa: E402
 from splatax.training.appearance import Exposure  # noqa: E402
 from splatax.training.camera_refinement import Poses  # noqa: E402
+from splatax.training.capacity import pad  # noqa: E402
 from splatax.training.density import Classic  # noqa: E402
 from splatax.training.density.growth import ByStep  # noqa: E402
 from splatax.training.geometry import Surfaces  # noqa: E402
+from splatax.training.loop import first_state  # noqa: E402
 from splatax.training.recipes import ShSchedule, with_views  # noqa: E402
+from splatax.training.schedule import Schedule  # noqa: E402
+from splatax.training.steppers import stepper_for  # noqa: E402
+from splatax.training.views import step_on_views  # noqa: E402
 
-STEPS, VIEWS = 8, 8
+STEPS, VIEWS, ROWS = 8, 8, 16_384
 
 
 def recipe() -> sx.Recipe:
@@ -68,7 +78,27 @@ def digest(state) -> str:
     return found.hexdigest()[:16]
 
 
+def exchanged(number: int) -> int:
+    """Bytes that a device gets in a step, counted from the compiled program."""
+    made = replace(recipe(), backend=backends.resolve("cpu"))
+    stepper = stepper_for(made, jax.devices()[:number])
+    start = pad(made.initialization(dataset, 1, 0), ROWS)
+    state = stepper.placed(first_state(start, made, 1.0, len(dataset.train)))
+    views = next(stepper.feed(dataset.train, made, 0, Schedule(STEPS, STEPS, made.resolution), math.inf))
+    arguments = state, views, made.optimizer.rates, jnp.int32(1), made, stepper.dealt.mesh
+    text = step_on_views.lower(*arguments).compile().as_text()
+    kinds = re.findall(
+        r"= (.*?) (all-to-all|all-gather|all-reduce|reduce-scatter|collective-permute)\(", text
+    )
+    shapes = [shape for result, _ in kinds for shape in re.findall(r"[fsu]32\[([\d,]*)\]", result)]
+    return sum(4 * math.prod(int(n) for n in shape.split(",") if n) for shape in shapes)
+
+
 dataset, start = capture(views=12), None
+if options.bytes:
+    for number in options.devices:
+        print(number, exchanged(number))
+    raise SystemExit
 for number in options.devices:
     here = jax.devices()[:number]
     for progress in sx.optimize(dataset, recipe(), start, devices=here):

@@ -17,6 +17,7 @@ from test_training import RECIPE, capture, run
 
 import splatax as sx
 from splatax import backends
+from splatax.runs.scaling import bytes_exchanged
 from splatax.training.density import NoDensityControl
 from splatax.training.devices import devices_for
 from splatax.training.feed import FIRST, batch
@@ -69,6 +70,13 @@ def test_a_run_resumes_on_another_number_of_devices_with_the_same_bits():
     whole = trained("default", "--devices", "8")
     resumed = trained("default", "--resume", "--devices", "2", "8")
     assert whole[8] == resumed[8]
+
+
+@needs_cpu
+def test_a_step_exchanges_as_many_bytes_as_the_model_of_many_devices_counts():
+    counted = int(trained("default", "--bytes", "--devices", "8")[8][0])
+    modelled = bytes_exchanged(16_384)
+    assert modelled <= counted < modelled + 1024, "beside splats and cotangents, a few numbers travel"
 
 
 @needs_cpu

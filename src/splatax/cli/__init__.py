@@ -27,6 +27,7 @@ from splatax.cli.interruption import STOPPED
 from splatax.cli.mesh import Mesh
 from splatax.cli.output import complain, guarded, say
 from splatax.cli.page import Page
+from splatax.cli.plan import Plan
 from splatax.cli.platform import keep_compiled_programs, keep_freed_memory
 from splatax.cli.reconstruct import Reconstruct
 from splatax.cli.render import Render
@@ -55,6 +56,7 @@ COMMANDS = {
     "demo": Demo,
     "bench": Bench,
     "cache": Cache,
+    "plan": Plan,
     "doctor": Doctor,
 }
 REFUSED = 2  # exit code

@@ -1,0 +1,115 @@
+"""A model of what a training step costs on many devices: bytes counted, divided by rates of the hardware.
+
+A step draws one view on each device. A device
+
+    projects its rows for every view, and moves them once           memory traffic
+    gets the splats of all rows for its view, and sends gradients   traffic between devices
+    draws its view, forward and backward                            time by pixel and by visible splat
+
+Bytes are those of `splatax.training.views`, which the tests count in the compiled program. The rates of
+machines are assumptions, from data sheets and from published figures; nothing here was measured on them.
+"""
+
+from dataclasses import dataclass
+
+FLOATS = 59  # of a Gaussian with harmonics of degree 3
+ROW = 4 * FLOATS
+ADAM = 7 * ROW  # a parameter and its two moments, read and written; its gradient, read
+THERE = 4 * 12  # of a splat: mean 2, shape 3, depth 1, extent 2, colour 3, opacity 1
+BACK = 4 * 12  # of its cotangent: mean 2, shape 3, depth 1, colour 3, opacity 1, pull 2
+UNEVEN = 1.15  # time of the slowest view, as a multiple of the mean
+LATENCIES = 4  # collective operations of a step that wait for each other
+
+
+@dataclass(frozen=True)
+class Machine:
+    """The rates of a kind of device.
+
+    Attributes:
+        name: of the device.
+        memory: traffic of its memory, GB/s.
+        inside: to other devices of its host, each way, GB/s.
+        between: to other hosts, each way, GB/s.
+        host: devices of one host.
+        room: memory of the device, GB.
+        latency: of a collective operation, ms.
+        pixel: drawing one pixel, forward and backward, ns.
+        splat: the same for one visible splat, ns.
+    """
+
+    name: str
+    memory: float
+    inside: float
+    between: float
+    host: int
+    room: float
+    latency: float
+    pixel: float
+    splat: float
+
+
+MACHINES = {
+    "H100": Machine("NVIDIA H100", 2700.0, 300.0, 40.0, 8, 80.0, 0.15, 1.0, 1.6),
+    "A100": Machine("NVIDIA A100 80 GB", 1600.0, 200.0, 20.0, 8, 80.0, 0.2, 1.8, 2.9),
+    "CPU": Machine("host with 16 CPU cores and 25 Gb/s", 80.0, 2.5, 2.5, 1, 64.0, 2.0, 28.0, 35.0),
+}
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a step costs; times in ms.
+
+    Attributes:
+        rows: projecting and moving own rows.
+        draw: drawing one view.
+        travel: exchanging splats and gradients.
+        wait: for collective operations to begin.
+        exchanged: bytes that a device gets.
+        memory: GB of a device.
+    """
+
+    rows: float
+    draw: float
+    travel: float
+    wait: float
+    exchanged: int
+    memory: float
+
+    @property
+    def step(self) -> float:
+        """Milliseconds of the step; nothing overlaps."""
+        return self.rows + self.draw + self.travel + self.wait
+
+
+def cost(machine: Machine, devices: int, gaussians: int, pixels: int, seen: float) -> Cost:
+    """Returns the cost of a step of as many views as devices.
+
+    Args:
+        machine: the kind of device.
+        devices: their number.
+        gaussians: of the scene.
+        pixels: of a photo.
+        seen: fraction of the Gaussians that a photo shows.
+    """
+    own = gaussians / devices
+    projected = devices * own * (ROW + seen * 2 * ROW + THERE + BACK)
+    visible = seen * gaussians
+    draw = (pixels * machine.pixel + visible * machine.splat) * 1e-6 * (UNEVEN if devices > 1 else 1)
+    exchanged = bytes_exchanged(gaussians) if devices > 1 else 0
+    splats = (devices * own + gaussians) * (THERE + BACK)  # of own rows in all views, and of all rows in one
+    near = (min(devices, machine.host) - 1) / devices
+    far = max(devices - machine.host, 0) / devices
+    travel = max(exchanged * near / machine.inside, exchanged * far / machine.between) * 1e-6
+    return Cost(
+        rows=(projected + own * ADAM) / machine.memory * 1e-6,
+        draw=draw,
+        travel=travel,
+        wait=LATENCIES * machine.latency if devices > 1 else 0.0,
+        exchanged=exchanged,
+        memory=(own * 4 * ROW + splats + pixels * 160) / 1e9,
+    )
+
+
+def bytes_exchanged(rows: int) -> int:
+    """Returns the bytes that a device gets in a step that draws one view on it: all rows, there and back."""
+    return rows * (THERE + BACK)

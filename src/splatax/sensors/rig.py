@@ -37,8 +37,7 @@ class CameraRig:
         """
         if not cameras:
             raise ValueError("a rig without cameras. Give at least one.")
-        first, *others = (jax.tree.structure(checked(camera)) for camera in cameras)
-        if any(other != first for other in others):
+        if len({jax.tree.structure(checked(camera)) for camera in cameras}) > 1:
             raise ValueError(
                 "the cameras of a rig differ in image size, kind of lens or motion, so they cannot be drawn "
                 "together. Make one rig for each kind."

@@ -87,7 +87,7 @@ def split_by_label(gaussians: Gaussians, labels: Int[np.ndarray, " n"], names: S
     def rows(label: int) -> Gaussians:
         return jax.tree.map(lambda leaf: leaf[labels == label], gaussians)
 
-    return Scene({names[label]: Part(rows(label)) for label in present})
+    return Scene({names[label]: Part(rows(label)) for label in map(int, present)})
 
 
 def intersection_over_union(

@@ -62,7 +62,7 @@ def _measured(
     readings = {}
     for (name, sensor), own_key in zip(sensors.items(), keys, strict=True):
         if shared is not None and name in sharing:
-            drawn = (_of(name, sensor, shared),)
+            drawn: tuple[Rendering, ...] = (_of(name, sensor, shared),)
         else:
             alone = {name: sensor}
             drawn = tuple(_of(name, sensor, _drawn(scene, view, alone, renderer)) for view in views[name])

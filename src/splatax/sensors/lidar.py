@@ -39,9 +39,10 @@ class Lidar:
     """A LiDAR. Its measurement is a `Scan`.
 
     The surroundings are drawn once through an equirectangular lens. Each ray reads the pixel that it falls
-    in, and meets the plane of the pixel's surface, so the range is that of the plane at any resolution; the
-    plane changes it by a factor of at most 1.25. The finest structure that is resolved is a pixel, which is
-    pi / height radians wide. All rays are cast at one time.
+    in, and meets the plane of the pixel's surface; the plane changes the range by a factor of at most 1.25.
+    A pixel is pi / height radians wide. Finer structures are not resolved, and where Gaussians are smaller
+    than a pixel, surfaces that are seen at a grazing angle appear too near: choose a larger height. All rays
+    are cast at one time.
 
     Attributes:
         directions: rays in camera axes (x right, y down, z forward), of any length above 0.

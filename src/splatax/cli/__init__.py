@@ -25,8 +25,8 @@ from splatax.cli.failures import advice
 from splatax.cli.inspect import Inspect
 from splatax.cli.interruption import STOPPED
 from splatax.cli.label import Label
-from splatax.cli.metres import Metres
 from splatax.cli.mesh import Mesh
+from splatax.cli.metres import Metres
 from splatax.cli.output import complain, guarded, say
 from splatax.cli.page import Page
 from splatax.cli.platform import keep_compiled_programs, keep_freed_memory

@@ -45,8 +45,8 @@ class Label:
     """A splat file, or the folder of a run of splatax, INRIA's 3DGS or gsplat."""
     masks: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Folder of the label images."""
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE.glb")]
-    """The scene of parts to write."""
+    out: Annotated[Path | None, shown_as("FILE.glb")] = None
+    """The scene of parts to write. By default parts.glb in the folder of the model."""
     scene: Annotated[Path | None, shown_as("CAPTURE")] = None
     """Folder of the capture. By default the one that the run was trained on."""
     downscale: DownscaleOption = None
@@ -57,11 +57,12 @@ class Label:
     """Replace the file if it exists."""
 
     def run(self) -> None:
-        if self.out.suffix.lower() != ".glb":
+        if self.out and self.out.suffix.lower() != ".glb":
             raise InputError(f"{self.out}: scenes of parts are kept in .glb files. Choose such a name.")
-        if self.out.exists() and not self.overwrite:
-            raise InputError(f"{self.out}: exists. Choose another name, or replace it: --overwrite.")
         model = read_model(self.model, None)
+        out = self.out or model.path.parent / "parts.glb"
+        if out.exists() and not self.overwrite:
+            raise InputError(f"{out}: exists. Choose another name, or replace it: --overwrite.")
         voting, testing = self._labelled(model)
         count = 1 + max(int(labels.max()) for _, labels in voting + testing)
         if count < 2:
@@ -71,11 +72,11 @@ class Label:
         found = editing.votes(model.gaussians, track(voting, description="voting"), count, renderer)
         labels = editing.labels_of(found)
         parts = editing.split_by_label(model.gaussians, labels, names)
-        self.out.parent.mkdir(parents=True, exist_ok=True)
-        save_scene(self.out, parts)
+        out.parent.mkdir(parents=True, exist_ok=True)
+        save_scene(out, parts)
         for name, part in parts.parts.items():
             say(f"{len(part.gaussians):9,} Gaussians  {name}")
-        say(f"{self.out}: {len(parts.parts)} parts from {len(voting)} label images")
+        say(f"{out}: {len(parts.parts)} parts from {len(voting)} label images")
         if testing:
             mean = mean_iou(model.gaussians, labels, count, testing, renderer)
             say(f"mean intersection over union on {len(testing)} held-out photos: {mean:.3f}")

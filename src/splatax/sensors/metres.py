@@ -29,10 +29,16 @@ def load_in_metres(path: str | Path) -> Gaussians:
         FormatError: if the file keeps no scale, and in the cases of `splatax.load`.
     """
     gaussians = formats.load(path)
-    scale = metres_in(formats.comments(path))
+    comments = formats.comments(path)
+    try:
+        scale = metres_in(comments)
+    except ValueError as error:
+        raise FormatError(
+            f"{path}: its scale is damaged ({error}). Measure it again: splatax metres."
+        ) from error
     if scale is None:
         raise FormatError(
             f"{path}: keeps no scale, so it is not known how long its unit is. Measure a known distance in "
-            "it: splatax metres, or scale the scene yourself with in_metres."
+            "it (splatax metres), or scale the scene yourself with in_metres."
         )
     return in_metres(scale).transform(gaussians)

@@ -61,6 +61,7 @@ SUBMODULES = {  # public name -> module here
     "recipes": "training.recipes",
     "reconstruction": "reconstruction",
     "scene": "scene",
+    "sensors": "sensors",
     "splits": "splits",
     "training": "training",
     "trajectories": "trajectories",
@@ -80,6 +81,7 @@ if TYPE_CHECKING:  # the same names, for type checkers and editors; tests/test_i
     from splatax import outputs as outputs
     from splatax import reconstruction as reconstruction
     from splatax import scene as scene
+    from splatax import sensors as sensors
     from splatax import splits as splits
     from splatax import training as training
     from splatax import trajectories as trajectories

@@ -24,7 +24,9 @@ from splatax.cli.export import Export
 from splatax.cli.failures import advice
 from splatax.cli.inspect import Inspect
 from splatax.cli.interruption import STOPPED
+from splatax.cli.label import Label
 from splatax.cli.mesh import Mesh
+from splatax.cli.metres import Metres
 from splatax.cli.output import complain, guarded, say
 from splatax.cli.page import Page
 from splatax.cli.plan import Plan
@@ -53,6 +55,8 @@ COMMANDS = {
     "bind": Bind,
     "rig": RigCommand,
     "animate": Animate,
+    "label": Label,
+    "metres": Metres,
     "demo": Demo,
     "bench": Bench,
     "cache": Cache,

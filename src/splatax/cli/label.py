@@ -1,0 +1,119 @@
+"""`splatax label`: a scene is split into parts by label images of its photos."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import jax.numpy as jnp
+import numpy as np
+import tyro
+from rich.progress import track
+
+import splatax as sx
+from splatax import editing, sensors
+from splatax.cli.options import (
+    BackendName,
+    DownscaleOption,
+    Model,
+    OverwriteFlag,
+    load_scene,
+    read_model,
+    resolve_backend,
+    scene_of,
+    shown_as,
+)
+from splatax.cli.output import say
+from splatax.errors import InputError
+from splatax.io import label_images
+from splatax.io.scenes import save_scene
+
+Labelled = list[tuple[sx.Camera, np.ndarray]]
+
+
+@dataclass(frozen=True)
+class Label:
+    """Split a scene into parts by label images (masks) of its photos.
+
+    Each Gaussian gets the label of the pixels that it fills most. DIR holds a label image for some or all
+    photos, NAME.png for NAME.jpg: whole numbers in one grey channel or a palette, 0 for the background, 255
+    for pixels that say nothing. DIR/labels.txt may name the labels, a line for each from 0. Label images of
+    held-out photos do not vote; they measure the result.
+    """
+
+    model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")]
+    """A splat file, or the folder of a run of splatax, INRIA's 3DGS or gsplat."""
+    masks: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """Folder of the label images."""
+    out: Annotated[Path | None, shown_as("FILE.glb")] = None
+    """The scene of parts to write. By default parts.glb in the folder of the model."""
+    scene: Annotated[Path | None, shown_as("CAPTURE")] = None
+    """Folder of the capture. By default the one that the run was trained on."""
+    downscale: DownscaleOption = None
+    """Divide the width and height of the views by this number. By default as in training, else "auto"."""
+    backend: BackendName = "auto"
+    """Rasterizer. If the named one is unavailable, the command fails."""
+    overwrite: OverwriteFlag = False
+    """Replace the file if it exists."""
+
+    def run(self) -> None:
+        if self.out and self.out.suffix.lower() != ".glb":
+            raise InputError(f"{self.out}: scenes of parts are kept in .glb files. Choose such a name.")
+        model = read_model(self.model, None)
+        out = self.out or model.path.parent / "parts.glb"
+        if out.exists() and not self.overwrite:
+            raise InputError(f"{out}: exists. Choose another name, or replace it: --overwrite.")
+        voting, testing = self._labelled(model)
+        count = 1 + max(int(labels.max()) for _, labels in voting + testing)
+        if count < 2:
+            raise InputError(f"{self.masks}: its label images have no label above 0, so there are no parts.")
+        names = label_images.names_in(self.masks, count)
+        renderer = sx.Renderer(backend=resolve_backend(self.backend))
+        found = editing.votes(model.gaussians, track(voting, description="voting"), count, renderer)
+        labels = editing.labels_of(found)
+        parts = editing.split_by_label(model.gaussians, labels, names)
+        out.parent.mkdir(parents=True, exist_ok=True)
+        save_scene(out, parts)
+        for name, part in parts.parts.items():
+            say(f"{len(part.gaussians):9,} Gaussians  {name}")
+        say(f"{out}: {len(parts.parts)} parts from {len(voting)} label images")
+        if testing:
+            mean = mean_iou(model.gaussians, labels, count, testing, renderer)
+            say(f"mean intersection over union on {len(testing)} held-out photos: {mean:.3f}")
+
+    def _labelled(self, model: Model) -> tuple[Labelled, Labelled]:
+        """Returns the views of training and of test photos that have label images, with the labels."""
+        capture = self.scene or scene_of(model)
+        if capture is None:
+            raise InputError(f"{self.model}: needs the cameras of its capture.", options=("scene",))
+        # Label images are of the photos as they are, so the views keep the lenses of the photos.
+        dataset = load_scene(capture, self.downscale, model, undistort=False)
+        voting, testing = (self._read(views) for views in (dataset.train, dataset.test))
+        if not voting:
+            raise InputError(
+                f"{self.masks}: no label image of a training photo. Name them after photos, such as "
+                f"{Path(dataset.train[0].name).with_suffix('.png')}."
+            )
+        return voting, testing
+
+    def _read(self, views: Sequence[sx.View]) -> Labelled:
+        found: Labelled = []
+        for view in views:
+            if path := label_images.path_of(self.masks, view.name):
+                labels = label_images.read(path, view.camera.width, view.camera.height)
+                found.append((view.camera, labels))
+        return found
+
+
+def mean_iou(
+    gaussians: sx.Gaussians, labels: np.ndarray, count: int, views: Labelled, renderer: sx.Renderer
+) -> float:
+    """Returns the mean over labels of the intersection over union of rendered and given label images."""
+    sensor = {"labels": sensors.Labels(jnp.asarray(labels), count)}
+    drawn = [
+        np.maximum(sensors.observe(gaussians, camera, sensor, renderer=renderer)["labels"], 0)
+        for camera, _ in views
+    ]
+    truth = np.concatenate([given.ravel() for _, given in views])
+    shown = np.concatenate([np.asarray(image).ravel() for image in drawn])
+    return float(np.nanmean(editing.intersection_over_union(shown, truth, count)))

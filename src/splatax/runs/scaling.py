@@ -57,7 +57,7 @@ MACHINES = {
 
 @dataclass(frozen=True)
 class Cost:
-    """What a step costs; times in ms.
+    """The cost of a step; times in ms.
 
     Attributes:
         rows: projecting and moving own rows.

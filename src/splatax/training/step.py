@@ -145,14 +145,14 @@ def compare(
 
 
 class Shown(NamedTuple):
-    """What is drawn of a view: its splats, and what the geometry penalty blends beside their colours."""
+    """The part of a view that is drawn: its splats, and channels that the geometry penalty blends."""
 
     splats: Splats
     channels: dict[str, Float[Array, "m _"]]
 
 
 class Target(NamedTuple):
-    """What the drawing of a view is compared with."""
+    """The photo that a view is compared with, and all else that the loss depends on."""
 
     photo: UInt8[Array, "h w c"]
     mask: Bool[Array, "h w"] | None

@@ -1,4 +1,4 @@
-"""How steps are made: on one view by one device, or on several views by several devices."""
+"""Makers of steps: on one view by one device, or on several views by several devices."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

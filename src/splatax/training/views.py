@@ -106,7 +106,7 @@ def _on_each(
 
 
 class Move(NamedTuple):
-    """What a step of the optimizer depends on besides the gradients."""
+    """The inputs of an optimizer step beside the gradients."""
 
     rates: LearningRates
     good: Bool[Array, ""]  # false if nothing may move

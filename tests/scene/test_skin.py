@@ -79,11 +79,11 @@ def test_opposite_quaternions_of_one_rotation_do_not_cancel():
 @pytest.mark.parametrize("what", ["pose", "weights", "gaussians"])
 def test_derivatives_agree_with_finite_differences(what, x64):
     gaussians, rig = blended(n=6, degree=1)
-    gaussians, rig = jax.tree.map(
-        lambda leaf: leaf.astype(jnp.float64) if leaf.dtype == jnp.float32 else leaf, (gaussians, rig)
+    gaussians, rig, pose = jax.tree.map(
+        lambda leaf: leaf.astype(jnp.float64) if leaf.dtype == jnp.float32 else leaf,
+        (gaussians, rig, bent(rig.skeleton)),
     )
     rng = np.random.default_rng(0)
-    pose = bent(rig.skeleton)
     wanted = [jnp.asarray(rng.normal(size=s)) for s in ((6, 3), (6, 3, 3), (6, 4, 3))]
 
     def loss(gaussians, rig, pose):

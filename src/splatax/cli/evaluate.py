@@ -115,7 +115,7 @@ def table_of(scores: sx.Scores) -> Table:
 def words_of(scores: GeometryScores) -> list[str]:
     """Returns the mean errors of geometry in words, one line for each kind."""
     mean = scores.mean
-    source = "the truth" if scores.reference == "truth" else "points of structure from motion"
+    source = "the truth" if scores.reference == "truth" else "the capture's points"
     lines = [
         f"{output}: {error.median:.4g} off {source} ({100 * error.relative:.2g} %), bias {error.bias:+.2g}"
         for output, error in mean.depths.items()

@@ -41,14 +41,16 @@ def same_results(run, whole):
     ]
 
 
-@pytest.mark.parametrize("moment", ["score", "write_json", "report"])
+@pytest.mark.parametrize("moment", ["compared", "write_json", "report"])
 def test_a_run_killed_while_its_results_are_written_is_concluded_without_training(
     moment, trained, capture, tmp_path, monkeypatch
 ):
     run = tmp_path / "run"
     with monkeypatch.context() as patch:
         patch.setattr(
-            training if moment == "report" else results, moment, lambda *_: (_ for _ in ()).throw(PowerCut)
+            training if moment == "report" else results,
+            moment,
+            lambda *_, **__: (_ for _ in ()).throw(PowerCut),
         )
         with pytest.raises(PowerCut):
             start(capture, run, "--eval-every", "3", "--checkpoint-every", "0")

@@ -212,4 +212,4 @@ def test_no_gradient_of_a_prior_reaches_empty_slots():
     for leaf in jax.tree.leaves(gradient):
         assert_array_equal(leaf[3:], 0)
     assert np.all(np.asarray(gradient.opacity_logits[:3]) > 0)
-    assert NoPrior()(pad(random_gaussians(n=3), 8), jnp.float32(1.0)) == 0
+    assert NoPrior()(pad(random_gaussians(n=3), 8), jnp.float32(1.0), jnp.int32(3)) == 0

@@ -7,15 +7,17 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
+import jax
 import tyro
 
 from splatax.cli.display import Display
+from splatax.cli.hosts import joined, kept_by_one
 from splatax.cli.interruption import Interruption
 from splatax.cli.options import flag, given, parsed, shown_as
 from splatax.cli.output import complain, say
 from splatax.cli.preparing import loaded, planned, prepared
 from splatax.cli.settings import NAMES, Settings, as_started
-from splatax.cli.train_options import Limits, Live, Method, Photos, Rerun, Saving
+from splatax.cli.train_options import Devices, Limits, Live, Method, Photos, Rerun, Saving
 from splatax.cli.view import audience
 from splatax.dataset import Dataset
 from splatax.errors import InputError
@@ -61,13 +63,22 @@ class Train:
     """Replace the results of an earlier run in the output folder."""
     photos: Photos = Photos()
     limits: Limits = Limits()
+    devices: Devices = Devices()
     method: Method = Method()
     saving: Saving = Saving()
     rerun: Rerun = Rerun()
     live: Live = Live()
 
     def run(self) -> None:
-        began = time.monotonic()
+        with joined(self.devices.hosts):
+            self.run_here(time.monotonic())
+
+    def run_here(self, began: float) -> None:
+        """Runs the command in this process.
+
+        Args:
+            began: time at which the command began, of the monotonic clock.
+        """
         chosen = {name: value for name, value in given(self).items() if name in NAMES}
         if self.limits.within is not None and (self.rerun.resume or self.rerun.repeat):
             raise InputError(
@@ -149,7 +160,14 @@ class Train:
             say(note)
         title = settings.title or settings.scene.resolve().name
         out = earlier.run if earlier else settings.out or Path("runs") / settings.scene.resolve().name
-        with claimed_for_run(out, settings.overwrite or earlier is not None):
+        if jax.process_count() > 1:
+            if settings.views == 1 or self.live.view:
+                raise InputError("--hosts: needs --views, and cannot be used with --view.")
+            settings = replace(settings, checkpoint_every=0.0)  # the clocks of the processes differ
+        with (
+            kept_by_one(out) as out,
+            claimed_for_run(out, settings.overwrite or earlier is not None),
+        ):
             if not earlier and self.rerun.repeat is None:
                 settings, dataset = prepared(settings, dataset, out)
             settings = replace(settings, background=settings.background or dataset.background)
@@ -184,6 +202,8 @@ class Train:
             )
             with checkpoints:
                 last = self.steps(session, earlier.state(recipe, dataset) if earlier else None)
+                if jax.process_index() > 0:
+                    return
                 results = Results(title, dataset, recipe, history, last, asdict(settings), out, judge)
                 with told_how_to_finish(out):
                     write(results, checkpoints)
@@ -207,7 +227,9 @@ class Train:
             if self.live.view
             else nullcontext()
         )
-        with watching as audience_, Display(recipe.steps) as display, Interruption() as interruption:
+        alone = jax.process_count() == 1  # else all would have to stop after the same step
+        stopping = Interruption() if alone else nullcontext(Interruption())
+        with watching as audience_, Display(recipe.steps) as display, stopping as interruption:
             session.stop_requested = lambda: interruption.requested
             if not (start and all_made(start)):
                 display.announce("compiling the first step")

@@ -72,15 +72,25 @@ class Limits:
     steps: Count = None
     """Number of training steps; each step uses one photo, or as many as --views says. By default as many as
     --budget has time for, or 30,000 for the recipes "classic", "absgrad" and "mcmc"."""
-    views: Count = None
-    """Number of photos that each step uses, with --steps. They are divided among all devices of this machine
-    that JAX finds; the scene depends on this number, not on that of the devices. By default 1."""
     max_gaussians: Annotated[Literal["auto"] | int | None, shown_as("{auto,N}")] = None
     """Upper limit of the number of Gaussians. "default" and "mcmc" always reach it; "classic" and "absgrad"
     rarely do. By default "auto": as many as the photos have detail for, or 5,000,000 for the latter two."""
     downscale: Annotated[Downscale | None, shown_as("{auto,N}")] = None
     """Divide the width and height of photos by this number. By default "auto": the smallest factor that
     brings the long side down to 1600 pixels."""
+
+
+@dataclass(frozen=True)
+class Devices:
+    """Several photos a step, on several devices and hosts. See docs/scale.md."""
+
+    views: Count = None
+    """Number of photos that each step uses, with --steps. They are divided among all devices that JAX finds;
+    the scene depends on this number, not on that of the devices. By default 1."""
+    hosts: Annotated[str | None, shown_as("{auto,ADDRESS:PORT,COUNT,INDEX}")] = None
+    """Train with other processes, which run the same command: "auto" where JAX finds them (SLURM, Open MPI,
+    Kubernetes, TPU pods), else the address of process 0, the number of processes, and which this one is.
+    Process 0 writes the results; checkpoints are by --checkpoint-steps."""
 
 
 @dataclass(frozen=True)

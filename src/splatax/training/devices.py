@@ -37,11 +37,11 @@ def devices_for(views: int, devices: Sequence[jax.Device] | None = None) -> Mesh
         devices: to choose from, the first ones; None for all that JAX has, of all processes.
 
     Raises:
-        ValueError: if devices are named and do not divide the views.
+        ValueError: if devices are named, or there are several processes, and they do not divide the views.
     """
     found = list(jax.devices() if devices is None else devices)
     count = max(d for d in range(1, min(len(found), views) + 1) if views % d == 0)
-    if devices is not None and count != len(found):
+    if count != len(found) and (devices is not None or jax.process_count() > 1):
         raise ValueError(
             f"{views} views a step do not divide among {len(found)} devices. Choose a multiple "
             f"of {len(found)} views, or give {count} devices."

@@ -154,3 +154,12 @@ def test_rates_rise_with_the_root_of_the_views():
     rates = with_views(recipe, 4).optimizer.rates
     assert rates.means == 2 * recipe.optimizer.rates.means
     assert rates.settled == recipe.optimizer.rates.settled
+
+
+def test_photos_with_and_without_alpha_share_a_step():
+    opaque, clear = capture(views=5), capture(views=5, alpha=True)
+    mixed = sx.Dataset(opaque.train[:2] + clear.train[2:], opaque.test, opaque.points)
+    recipe = with_views(sx.Recipe(steps=2, sh=ShSchedule(0)), 4)
+    scenes = [sx.fit(dataset, recipe) for dataset in (opaque, mixed)]
+    for ours, theirs in zip(*map(jax.tree.leaves, scenes), strict=True):
+        np.testing.assert_array_equal(ours, theirs)

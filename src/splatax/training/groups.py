@@ -103,8 +103,11 @@ def _sent(views: list[View], sources: list[Source], frames: list[Frame], divisor
 
 
 def _alike(photos: list[Pixels]) -> list[Pixels]:
-    """Returns photos with the same channels: opaque ones get alpha if others of the step have it."""
-    if len({photo.shape[2] for photo in photos}) == 1:
+    """Returns photos with the same channels: opaque ones get alpha if others of the step may have it.
+
+    A process does not know the photos of the others. Alpha of 255 changes no bit of the loss.
+    """
+    if len({photo.shape[2] for photo in photos}) == 1 and jax.process_count() == 1:
         return photos
     return [
         photo if photo.shape[2] == 4 else np.dstack([photo, np.full_like(photo[..., 0], 255)])

@@ -1,4 +1,4 @@
-"""`splatax animate`: a rigged scene in motion, as a film or a file."""
+"""`splatax animate`: a rigged scene in motion, as a video or a file."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -37,33 +37,33 @@ SAMPLES = 8  # times of the clip that the camera's distance is chosen for
 
 @dataclass(frozen=True)
 class Animate:
-    """Write a clip of a rigged scene: a film, a web page that plays it, or a .glb file.
+    """Write a clip of a rigged scene as a video, a web page that plays it, or a .glb file.
 
-    A .glb file holds the splats with their skin and the clip. It is valid glTF, but today's viewers of splats
-    know no skins: they show it in the bound pose.
+    A .glb file holds the splats with their skin and the clip. It is valid glTF, but today's splat viewers
+    ignore skins and show it in the bound pose.
     """
 
     run_: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(name="run", metavar="RUN")]
     """The folder of a run of splatax rig, or a .glb file of splatax rig or splatax bind."""
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-    """The film (.mp4, .webm, .gif, or a folder of pictures), page (.html) or .glb file to write."""
+    """The video (.mp4, .webm, .gif, or a folder of images), page (.html) or .glb file to write."""
     clip: TextOption = None
-    """Name of the clip. By default the first one of the file."""
+    """Name of the clip. By default the first one in the file."""
     path: Annotated[str, tyro.conf.arg(metavar="{still,orbit,FILE}")] = "still"
-    """Film: "still": one camera that sees the whole scene; "orbit": one turn around it; or a .json file of
-    keyframes."""
+    """Video: camera path. "still": one camera that sees the whole scene; "orbit": one turn around it; or a
+    .json file of keyframes."""
     size: Annotated[str | None, shown_as("WIDTHxHEIGHT")] = None
-    """Film: size in pixels. By default 960x540."""
+    """Video: size in pixels. By default 960x540."""
     fps: Annotated[int, tyro.conf.arg(metavar="N")] = 30
-    """Film: frames per second."""
+    """Video: frames per second."""
     repeat: Annotated[int, tyro.conf.arg(metavar="N")] = 1
-    """Film: how many times to play the clip."""
+    """Video: how many times to play the clip."""
     background: BackgroundOption = None
     """Color behind the scene. By default black."""
     backend: BackendName = "auto"
     """Rasterizer. If the named one is unavailable, the command fails."""
     overwrite: OverwriteFlag = False
-    """Replace the output of an earlier call."""
+    """Replace the output if it exists."""
 
     def run(self) -> None:
         for name in ("fps", "repeat"):
@@ -77,7 +77,7 @@ class Animate:
             self.out.parent.mkdir(parents=True, exist_ok=True)
             save_rigged(self.out, replace(scene, clips={clip.name: clip}))
             say(f"{self.out}: {len(scene.gaussians):,} Gaussians with a skin and the clip {clip.name}")
-            say("note    viewers of splats that know no skins show the bound pose, without motion")
+            say("note    splat viewers that ignore skins show the bound pose, without motion")
             return
         if is_page(self.out):
             self._page(scene, clip)
@@ -106,10 +106,10 @@ class Animate:
         size = self.out.stat().st_size / 1e6
         say(f"{self.out}: {len(scene.gaussians):,} Gaussians, the clip {clip.name}, {size:.1f} MB")
         if scene.gaussians.sh_degree:
-            say("note    the page does not turn view-dependent colour with the joints; films do")
+            say("note    the page does not rotate view-dependent color with the joints; videos do")
 
     def _film(self, scene: RiggedScene, clip: Clip) -> int:
-        """Renders the film and returns its number of frames."""
+        """Renders the video and returns its number of frames."""
         size = parse_size("--size", self.size) if self.size else DEFAULT_SIZE
         count = max(round(self.fps * clip.seconds), 1)
         rest, behind = scene.rig.skeleton.rest, np.asarray(background_of({}, self.background), np.float32)

@@ -25,7 +25,7 @@ class Bind:
     model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")]
     """The scan: a splat file, or the folder of a run."""
     body: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="BODY.glb")]
-    """A mesh with its skeleton and clips."""
+    """glTF file of the body: a mesh with its skeleton and clips."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE.glb")] = field(kw_only=True)
     """The file to write: splats with a skin, the skeleton and its clips."""
     low_pass: LowPassOption = None

@@ -12,14 +12,14 @@ from splatax.runs.planning import gigabytes
 
 @dataclass(frozen=True)
 class Cache:
-    """Show where decoded photos are kept on disk and how much they take, or remove them.
+    """Show where decoded photos are kept on disk and how much space they take, or remove them.
 
     Photos that do not fit in memory are decoded once and kept there. The environment variables SPLATAX_CACHE
-    and SPLATAX_CACHE_SIZE choose the folder and its largest size.
+    and SPLATAX_CACHE_SIZE choose the folder and its maximum size.
     """
 
     clear: Annotated[bool, tyro.conf.arg(name="clear")] = False
-    """Remove all of them. A run that uses them decodes its photos again."""
+    """Remove all kept photos. A run that uses them decodes its photos again."""
 
     def run(self) -> None:
         store = user_store()
@@ -31,4 +31,4 @@ class Cache:
             say(f"{store.clear():,} files removed ({gigabytes(size)}) from {store.folder}")
             return
         say(f"{store.folder}: {gigabytes(size)} of at most {gigabytes(store.most)}")
-        say(f"another folder: {PLACE}; another size: {SIZE}; remove all: splatax cache --clear")
+        say(f"set {PLACE} for another folder, {SIZE} for another size; splatax cache --clear removes all")

@@ -18,9 +18,9 @@ from splatax.io.scenes import save_scene
 class Compose:
     """Compose a scene of parts with variants, as a web page or a .glb file.
 
-    A .toml file names the splat file and the place of each part, the variants, notes, the first view and a
-    flight; docs/configurator.md lists its keys. A page has a button for each option. A .glb file has a node
-    for each part, with the first option of each variant.
+    A .toml file gives the splat file and the pose of each part, the variants, notes, the first view and a
+    camera path; docs/configurator.md lists its keys. A page has a button for each option of a variant. A .glb
+    file has a node for each part, with the first option of each variant.
     """
 
     composition: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE.toml")]

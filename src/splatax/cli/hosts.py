@@ -1,7 +1,7 @@
 """Training by several processes, on one host or many. All make every step; process 0 keeps the results.
 
-What gathers the scene from all devices (evaluation, pictures, checkpoints) is done by all processes after
-the same steps, so nothing of it may depend on the clock.
+Work that gathers the scene from all devices (evaluation, pictures, checkpoints) is done by all processes
+after the same steps, so none of it may depend on the clock.
 """
 
 import os
@@ -41,8 +41,8 @@ def joined(hosts: str | None) -> Iterator[None]:
             jax.distributed.initialize()
     except (RuntimeError, ValueError) as error:
         raise InputError(
-            f"--hosts {hosts}: the processes did not find each other ({error}). Name them: "
-            "--hosts ADDRESS:PORT,COUNT,INDEX."
+            f"--hosts {hosts}: the processes did not find each other ({error}). "
+            "Start all of them, and name them: --hosts ADDRESS:PORT,COUNT,INDEX."
         ) from error
     if jax.process_index() == 0:
         yield

@@ -36,15 +36,15 @@ class Label:
     """Split a scene into parts by label images (masks) of its photos.
 
     Each Gaussian gets the label of the pixels that it fills most. DIR holds a label image for some or all
-    photos, NAME.png for NAME.jpg: whole numbers in one grey channel or a palette, 0 for the background, 255
-    for pixels that say nothing. DIR/labels.txt may name the labels, a line for each from 0. Label images of
+    photos, NAME.png for NAME.jpg: integers in one gray channel or a palette, 0 for the background, 255 for
+    pixels to ignore. DIR/labels.txt may name the labels, one a line, starting with 0. Label images of
     held-out photos do not vote; they measure the result.
     """
 
     model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")]
     """A splat file, or the folder of a run of splatax, INRIA's 3DGS or gsplat."""
     masks: Annotated[Path, tyro.conf.arg(metavar="DIR")]
-    """Folder of the label images."""
+    """Folder of the label images, and of labels.txt."""
     out: Annotated[Path | None, shown_as("FILE.glb")] = None
     """The scene of parts to write. By default parts.glb in the folder of the model."""
     scene: Annotated[Path | None, shown_as("CAPTURE")] = None

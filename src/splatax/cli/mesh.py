@@ -36,8 +36,8 @@ class Mesh:
     """Make a triangle mesh of the surfaces that the training cameras see.
 
     Fuses the depth of the scene from all training cameras. The mesh has colors, and ends where fewer than
-    three cameras saw a surface; small loose parts are removed. docs/mesh.md tells how to train scenes for
-    good meshes.
+    three cameras saw a surface; small disconnected pieces are removed. Train the scene with --geometry for
+    better meshes; see docs/mesh.md.
     """
 
     model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")]
@@ -47,16 +47,17 @@ class Mesh:
     scene: Annotated[Path | None, shown_as("CAPTURE")] = None
     """Folder of the capture. By default the one that the run was trained on."""
     voxel: Annotated[Literal["auto"] | float, shown_as("{auto,LENGTH}")] = "auto"
-    """Width of a voxel in world units: smaller details are lost. "auto", the default: the width of a pixel on
-    the surface or, if it is larger, the difference between the depths that neighboring cameras see."""
+    """Width of a voxel in world units: smaller details are lost. "auto", the default: the median width of a
+    pixel on the surface or, if it is larger, the median difference between the depths that neighboring
+    cameras see."""
     depth: Annotated[Literal["auto", *DEPTHS], shown_as()] = "auto"  # type: ignore[valid-type]
-    """Output of the scene that is its depth. "auto", the default: the one that agrees best with the capture's
+    """Depth output of the scene to fuse. "auto", the default: the one that agrees best with the capture's
     own points."""
     faces: Annotated[int | None, shown_as("N")] = None
     """Simplify to this many faces. By default all are kept; with --collision, 5000."""
     collision: Annotated[bool, shown_as()] = False
-    """Make a small mesh for physics instead: it encloses what is seen, and up to three voxels behind it. The
-    voxels of "auto" are twice as wide."""
+    """Make a small mesh for physics instead, which encloses up to three voxels behind each surface that is
+    seen. With --voxel auto, voxels are twice as wide."""
     downscale: DownscaleOption = None
     """Divide the width and height of the rendered depth by this number. "auto": the smallest factor that
     brings the long side down to 1600 pixels. By default as in training, else "auto"."""

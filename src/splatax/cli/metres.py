@@ -21,12 +21,12 @@ POINT = re.compile(rf"\(?({NUMBER}),({NUMBER}),({NUMBER})\)?")
 
 @dataclass(frozen=True)
 class Metres:
-    """Tell a scene its scale, from one distance that is known in metres.
+    """Store the scale of a scene, from one distance that is known in metres.
 
     A and B are two points of the scene as X,Y,Z, or two names of photos, whose cameras are that far apart.
     The scale is kept in the scene file as a comment; the Gaussians stay as they are, so the cameras of the
-    capture still fit. splatax.sensors.load_in_metres reads it. Quote a point that starts with a minus sign
-    in brackets: "(-1,0,2)".
+    capture still fit. splatax.sensors.load_in_metres reads it. Write a point that starts with a minus
+    sign in quoted parentheses: "(-1,0,2)".
     """
 
     model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")]
@@ -44,7 +44,7 @@ class Metres:
 
     def run(self) -> None:
         if not 0 < self.length < float("inf"):
-            raise InputError(f"{self.length}: a distance in metres is more than 0.")
+            raise InputError(f"{self.length}: the distance in metres must be more than 0.")
         model = read_model(self.model, None)
         out = self.out or model.path
         if formats.format_of(out) is not formats.FORMATS[".ply"]:
@@ -56,7 +56,7 @@ class Metres:
             raise InputError(f"{self.out}: exists. Choose another name.", options=("out",))
         distance = float(np.linalg.norm(np.subtract(*places(model, self.scene, (self.a, self.b)))))
         if not distance > 0:
-            raise InputError(f"{self.a} and {self.b}: in the same place. Choose two places apart.")
+            raise InputError(f"{self.a} and {self.b}: in the same place. Choose two different places.")
         scale = self.length / distance
         kept = tuple(line for line in formats.comments(model.path) if not line.startswith((METRES, "SH deg")))
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -79,8 +79,8 @@ def places(model: Model, capture: Path | None, texts: tuple[str, str]) -> list[n
         folder = capture or scene_of(model)
         if folder is None:
             raise InputError(
-                f"{texts[0]} and {texts[1]}: not points X,Y,Z, and for photos the capture is needed, "
-                f"which {model.path} does not name.",
+                f"{texts[0]} and {texts[1]}: not both points X,Y,Z. For names of photos the capture is "
+                f"needed, which {model.path} does not name.",
                 options=("scene",),
             )
         cameras = {view.name: view.camera for view in load_scene(folder, None, model).views}

@@ -20,8 +20,8 @@ UNITS = {"": 1, "k": 1_000, "M": 1_000_000, "G": 1_000_000_000}
 class Plan:
     """Predict time, traffic and memory of a training step on many devices.
 
-    A model, not a measurement: it counts bytes and divides them by rates of the hardware that are assumed.
-    docs/scale.md states the assumptions.
+    The numbers come from a model, not from measurements: it counts bytes and divides them by assumed hardware
+    rates. docs/scale.md states the assumptions.
     """
 
     devices: Annotated[str, tyro.conf.arg(metavar="NxKIND")] = "8xH100"
@@ -31,7 +31,7 @@ class Plan:
     size: Annotated[str, tyro.conf.arg(metavar="SIZE")] = "1080p"
     """Size of a photo: 1080p, 4K, 8K, or WIDTHxHEIGHT."""
     seen: Annotated[float, tyro.conf.arg(metavar="FRACTION")] = 0.2
-    """Fraction of the Gaussians that a photo shows."""
+    """Fraction of the Gaussians that are visible in a photo."""
 
     def run(self) -> None:
         count, machine = devices_of(self.devices)
@@ -47,7 +47,7 @@ class Plan:
             f"a photo shows {self.seen:.0%}"
         )
         show(table)
-        say("a model from assumed rates: no such machine was measured")
+        say("predicted from assumed rates; no such machine was measured")
 
 
 def row(devices: int, found: Cost, machine: Machine) -> list[str]:
@@ -62,7 +62,7 @@ def devices_of(text: str) -> tuple[int, Machine]:
     """Reads a number and kind of devices.
 
     Raises:
-        InputError: if it is none.
+        InputError: if the text is not one.
     """
     found = re.fullmatch(r"(\d+)x(\w+)", text)
     if not found or int(found[1]) < 1 or found[2] not in MACHINES:
@@ -74,7 +74,7 @@ def number_of(text: str) -> int:
     """Reads a number of Gaussians such as 10M.
 
     Raises:
-        InputError: if it is none.
+        InputError: if the text is not one.
     """
     found = re.fullmatch(r"(\d+(?:\.\d+)?)([kMG]?)", text)
     if not found or not float(found[1]):
@@ -86,7 +86,7 @@ def size_of(text: str) -> tuple[int, int]:
     """Reads the size of a photo.
 
     Raises:
-        InputError: if it is none.
+        InputError: if the text is not one.
     """
     found = re.fullmatch(r"(\d+)x(\d+)", text)
     if text in SIZES:

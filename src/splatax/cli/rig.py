@@ -38,23 +38,24 @@ class RigCommand:
     """Train Gaussians that follow a skeleton, from photos of it in known poses.
 
     Writes rigged.glb (splats with a skin, the skeleton and its clips), scene.ply (the splats in the bound
-    pose), poses.json (the poses, refined on request) and metrics.json.
+    pose), poses.json (the poses, refined if requested) and metrics.json.
     """
 
     scene: Annotated[Path, tyro.conf.Positional, shown_as("CAPTURE")]
     """Folder of the capture, with cameras in the coordinates of the body."""
     skeleton: Annotated[Path, tyro.conf.arg(metavar="BODY.glb")] = field(kw_only=True)
-    """A mesh with its skeleton and clips. Training starts from Gaussians on its surface."""
+    """glTF file of the body: a mesh with its skeleton and clips. Training starts from Gaussians on its
+    surface."""
     poses: Annotated[str, tyro.conf.arg(metavar="{CLIP,FILE.json}")] = field(kw_only=True)
-    """Pose in each photo: a .json file (docs/rigs.md tells its format), or the name of a clip, whose
+    """Pose in each photo: a .json file (docs/rigs.md describes the format), or the name of a clip, whose
     duration is divided evenly among the photos in the order of their names."""
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = field(kw_only=True)
     """Output folder."""
     steps: Annotated[int, tyro.conf.arg(metavar="N")] = 1_500
     """Number of training steps; each step uses one photo."""
     max_gaussians: Annotated[int | None, shown_as("N")] = None
-    """Number of Gaussians at the end. By default one for 8 pixels of a photo, times the square root of the
-    number of photos."""
+    """Number of Gaussians at the end. By default one for every 8 pixels of a photo, times the square root of
+    the number of photos."""
     refine: Refine = "none"
     """Learn the weights, the rotations of the joints in each pose, or both, together with the Gaussians. Use
     it only if the given ones are inaccurate."""
@@ -103,7 +104,8 @@ class RigCommand:
         if not self.poses.endswith(".json"):
             clips = ", ".join(body.clips) or "none"
             raise InputError(
-                f"--poses {self.poses}: no .json file, and no clip of {self.skeleton}, which has: {clips}."
+                f"--poses {self.poses}: neither a .json file nor a clip of {self.skeleton}, "
+                f"whose clips are: {clips}."
             )
         return read_poses(Path(self.poses), body.skeleton, body.clips)
 

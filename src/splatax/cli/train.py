@@ -112,7 +112,7 @@ class Train:
         name = "within" if self.limits.within is not None else "budget"
         if settings.views > 1 and self.limits.steps is None:
             raise InputError(
-                "--views: time is planned for steps of one photo. Give the number of steps too, with --steps."
+                "--views: a time budget is planned for steps of one photo. Give a number of steps: --steps."
             )
         plannable = PRESETS[settings.recipe].plannable and self.limits.steps is None
         if settings.budget is None and self.limits.within is None:

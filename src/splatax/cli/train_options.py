@@ -70,7 +70,7 @@ class Limits:
     """Limit the memory of the whole process, for example 4GB. Caps the number of Gaussians, and re-reads
     photos that do not fit. By default the cache of decoded photos may take half of the machine's memory."""
     steps: Count = None
-    """Number of training steps; each step uses one photo, or as many as --views says. By default as many as
+    """Number of training steps; each step uses one photo, or --views photos. By default as many as
     --budget has time for, or 30,000 for the recipes "classic", "absgrad" and "mcmc"."""
     max_gaussians: Annotated[Literal["auto"] | int | None, shown_as("{auto,N}")] = None
     """Upper limit of the number of Gaussians. "default" and "mcmc" always reach it; "classic" and "absgrad"
@@ -82,15 +82,16 @@ class Limits:
 
 @dataclass(frozen=True)
 class Devices:
-    """Several photos a step, on several devices and hosts. See docs/scale.md."""
+    """Several photos in each step, on several devices and hosts. See docs/scale.md."""
 
     views: Count = None
-    """Number of photos that each step uses, with --steps. They are divided among all devices that JAX finds;
-    the scene depends on this number, not on that of the devices. By default 1."""
+    """Number of photos in each step (batch size); needs --steps. They are divided among all devices that JAX
+    finds; the scene depends on this number, not on the number of devices. By default 1."""
     hosts: Annotated[str | None, shown_as("{auto,ADDRESS:PORT,COUNT,INDEX}")] = None
-    """Train with other processes, which run the same command: "auto" where JAX finds them (SLURM, Open MPI,
-    Kubernetes, TPU pods), else the address of process 0, the number of processes, and which this one is.
-    Process 0 writes the results; checkpoints are by --checkpoint-steps."""
+    """Train together with other processes, which run the same command; needs --views. "auto": as JAX finds
+    them (SLURM, Open MPI, Kubernetes, TPU pods); else the address of process 0, the number of processes, and
+    the index of this one, from 0. Process 0 writes the results. Checkpoints are saved every
+    --checkpoint-steps steps."""
 
 
 @dataclass(frozen=True)
@@ -117,11 +118,12 @@ class Method:
     refine: Annotated[RefinementName | None, shown_as()] = None
     """Optimize the training cameras: their poses, focal lengths, lenses (focal lengths and distortion), or
     motion during the exposure (a rolling shutter). Use it only for what is inaccurate; accurate poses get
-    worse. Writes the cameras to refined/sparse/0. By default none. Cameras of
-    held-out photos stay as given."""
+    worse. Writes the cameras to refined/sparse/0. Cameras of held-out photos stay as given. By default
+    none."""
     geometry: Annotated[bool, shown_as()] = False
-    """Make the Gaussians lie on surfaces, for depth, normals and meshes. Adds penalties on the spread of
-    depth along each ray, and on depths that differ from those of the capture's own points or depth maps.
+    """Make the Gaussians lie on surfaces, for accurate depth, normals and meshes. Adds penalties on the
+    spread of depth along each ray, and on depths that differ from those of the capture's own points or depth
+    maps.
     Training takes about twice as long, and PSNR is 0.6 to 0.8 dB lower. By default off."""
     backend: Annotated[BackendName | None, shown_as()] = None
     """Rasterizer. If the named one is unavailable, the command fails instead of falling back. By default

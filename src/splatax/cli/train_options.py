@@ -123,8 +123,7 @@ class Method:
     geometry: Annotated[bool, shown_as()] = False
     """Make the Gaussians lie on surfaces, for accurate depth, normals and meshes. Adds penalties on the
     spread of depth along each ray, and on depths that differ from those of the capture's own points or depth
-    maps.
-    Training takes about twice as long, and PSNR is 0.6 to 0.8 dB lower. By default off."""
+    maps. Training takes about twice as long, and PSNR is 0.6 to 0.8 dB lower. By default off."""
     backend: Annotated[BackendName | None, shown_as()] = None
     """Rasterizer. If the named one is unavailable, the command fails instead of falling back. By default
     "auto": the fastest one available."""

@@ -67,8 +67,9 @@ class Limits:
     """Time limit of the whole command, for example 10min, instead of --budget: loading, planning and writing
     the results count too."""
     memory: Annotated[str | None, shown_as("SIZE")] = None
-    """Limit the memory of the whole process, for example 4GB. Caps the number of Gaussians, and re-reads
-    photos that do not fit. By default the cache of decoded photos may take half of the machine's memory."""
+    """Limit the memory of the whole process, for example 4GB. Caps the number of Gaussians, and keeps decoded
+    photos that do not fit on disk (see splatax cache). By default decoded photos may take half of the
+    machine's memory."""
     steps: Count = None
     """Number of training steps; each step uses one photo, or --views photos. By default as many as
     --budget has time for, or 30,000 for the recipes "classic", "absgrad" and "mcmc"."""

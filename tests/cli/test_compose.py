@@ -11,7 +11,7 @@ import splatax as sx
 from scenes import camera_at, random_gaussians
 from splatax import cli, web
 from splatax.scene import chosen
-from splatax.web import page
+from splatax.web import composition, page
 
 CAR = """
 title = "Car & more"
@@ -128,6 +128,8 @@ def test_a_page_is_told_everything(car, tmp_path):
         (("tint = [1, 0.5, 0.5]", "tint = [1, 1, 1]\ndye = [1, 1, 1]"), "more than one color"),
         (('background = "white"', 'background = "sky"'), "background is 'sky', not black, white"),
         (("[start]", "[start"), "not a TOML file"),
+        (("seconds = 5", "seconds = nan"), "[path] seconds is nan, not a duration above 0"),
+        (("seconds = 5", "seconds = 0"), "[path] seconds is 0.0, not a duration above 0"),
         (("target = [0, 0, 0]", "target = [0, -1, -5]"), "lie on a line"),
     ],
 )
@@ -141,6 +143,22 @@ def test_what_cannot_be_is_refused_in_one_sentence_with_the_file(car, tmp_path, 
     assert message in error
     assert "car.toml" in error or "hood.ply" in error
     assert not (tmp_path / "car.glb").exists()
+
+
+def test_nodes_of_a_file_are_read_once_and_share_what_they_share_in_it(tmp_path, monkeypatch):
+    wheel = random_gaussians(1, n=4)
+    scene = sx.Scene({name: sx.Part(wheel) for name in ("left", "right")})
+    sx.io.scenes.save_scene(tmp_path / "car.glb", scene)
+    path, opened = tmp_path / "car.toml", []
+    monkeypatch.setattr(
+        composition, "load_scene", lambda file: opened.append(file) or sx.io.scenes.load_scene(file)
+    )
+    rows = "".join(f'[parts.{name}]\nfile = "car.glb"\nnode = "{name}"\n' for name in scene.names)
+    path.write_text('title = "\u8f66"\n' + rows, encoding="utf-8")
+    found = web.compose(path)
+    assert opened == [tmp_path / "car.glb"]
+    assert found.title == "\u8f66"
+    assert found.scene["left"].gaussians is found.scene["right"].gaussians
 
 
 def test_other_suffixes_and_existing_files_are_refused(car, tmp_path, capsys):

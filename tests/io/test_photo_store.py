@@ -64,12 +64,13 @@ def test_a_photo_that_changed_or_has_another_size_or_lens_is_another(tmp_path):
     assert key() not in keys
 
 
-def test_a_damaged_file_is_made_again(tmp_path, store):
+@pytest.mark.parametrize("left", [200, 0])
+def test_a_damaged_file_is_made_again(tmp_path, store, left):
     views = sx.load_dataset(write_capture(tmp_path / "capture", 2)).views
     kept, _ = kept_on_disk(views, store)
     expected = contents(kept)
     for file in store.folder.iterdir():
-        file.write_bytes(file.read_bytes()[:200])
+        file.write_bytes(file.read_bytes()[:left])
     assert contents(kept) == expected
     assert contents(kept) == expected
 

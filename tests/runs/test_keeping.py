@@ -50,6 +50,15 @@ def test_files_of_the_user_in_the_chosen_folder_are_never_removed(place, dataset
     assert own.read_bytes() == b"mine"
 
 
+def test_a_folder_that_cannot_be_made_is_named_and_training_goes_on(place, dataset, tmp_path):
+    (tmp_path / "kept").write_bytes(b"")
+    same, line = with_photos_kept(dataset, Room(photos=0.0))
+    assert same is dataset
+    assert str(place) in line
+    assert "decoded again for each step" in line
+    assert PLACE in line
+
+
 def test_a_size_of_zero_keeps_nothing_and_says_so(place, dataset, monkeypatch):
     monkeypatch.setenv(SIZE, "0")
     same, line = with_photos_kept(dataset, Room(photos=0.0))

@@ -16,6 +16,7 @@ from splatax.io.rigs import load_rigged, read_body, save_rigged
 from splatax.io.rigs.poses import Posing, read_poses, write_poses
 from splatax.io.rigs.writing import save_body
 from splatax.scene.binding import bind, covering
+from splatax.scene.clips import Channel, Clip
 from splatax.scene.rigged import RiggedScene
 
 TURN = np.diag([-1.0, -1.0, 1.0, 1.0])  # glTF's world to ours
@@ -108,6 +109,26 @@ def test_a_rigged_file_is_also_a_splat_file_in_the_bound_pose(rigged_file):
     np.testing.assert_array_equal(flat.means, rigged.means)
 
 
+def test_a_rigged_file_keeps_the_filter_of_its_scene_and_leaves_out_broken_gaussians(tmp_path):
+    gaussians, rig = blended(n=6)
+    logits = gaussians.opacity_logits.at[2].set(-jnp.inf)
+    broken = replace(
+        gaussians,
+        means=gaussians.means.at[4].set(jnp.nan),
+        opacity_logits=logits,
+        low_pass=sx.Antialiasing(),
+    )
+    with pytest.warns(UserWarning, match="left out 1 Gaussians"):
+        save_rigged(tmp_path / "a.glb", RiggedScene(broken, rig))
+    again, kept = load_rigged(tmp_path / "a.glb"), np.array([0, 1, 3, 5])
+    assert again.gaussians.low_pass == sx.Antialiasing()
+    assert sx.load(tmp_path / "a.glb").low_pass == sx.Antialiasing()
+    np.testing.assert_array_equal(again.gaussians.means, gaussians.means[kept])
+    np.testing.assert_allclose(
+        np.max(again.rig.weights, axis=1), np.max(rig.weights[kept], axis=1), atol=1e-6
+    )
+
+
 def test_nodes_with_meshes_move_rigidly(body_file):
     def without_skin(gltf):
         del gltf["skins"], gltf["nodes"][3]["skin"]
@@ -148,6 +169,8 @@ def test_a_scan_follows_the_nearest_surface(body_file):
     for row, other in zip(dense, (rig, exact), strict=True):
         np.add.at(row, (np.arange(200)[:, None], np.asarray(other.indices)), np.asarray(other.weights))
     assert np.abs(dense[0] - dense[1]).max() < 0.05
+    holed = bind(replace(gaussians, means=gaussians.means.at[3].set(jnp.nan)), body)
+    np.testing.assert_array_equal(holed.indices[4:], rig.indices[4:])
     away = replace(gaussians, means=gaussians.means + 5)
     with pytest.raises(sx.InputError, match="do not fit together"):
         bind(away, body)
@@ -172,6 +195,13 @@ def test_files_that_cannot_be_right_are_refused_by_name(body_file, change, messa
     with pytest.raises(sx.FormatError, match=message) as caught:
         read_body(body_file)
     assert str(body_file) in str(caught.value)
+
+
+def test_a_clip_with_a_rotation_of_zeros_is_refused(tmp_path):
+    still = Channel(0, "rotation", np.array([0.0, 1.0]), np.zeros((2, 1, 4)), "LINEAR")
+    save_body(tmp_path / "body.glb", replace(drawn_arm(), clips={"Wave": Clip("Wave", (still,))}))
+    with pytest.raises(sx.FormatError, match="clip Wave has a rotation of zeros"):
+        read_body(tmp_path / "body.glb")
 
 
 def test_splats_without_a_skin_are_refused(tmp_path):
@@ -199,6 +229,9 @@ def test_poses_come_back_from_their_file(tmp_path):
         ({"poses": {"a": {"rotations": {"bone 0": [0, 0, 0, 0]}}}, "photos": {}}, "not all zero"),
         ({"poses": {"a": {"clip": "Jump"}}, "photos": {}}, "clip Jump"),
         ({"poses": {}, "photos": {"0.png": "a"}}, "has the pose a, which is not in it"),
+        ({"poses": {"a": {"clip": ["Wave"]}}, "photos": {}}, "not a valid file of poses"),
+        ({"poses": {"a": {"rotations": [0, 0, 0, 1]}}, "photos": {}}, "not a valid file of poses"),
+        ({"poses": {"a": {"rotations": {"bone 0": "up"}}}, "photos": {}}, "not a valid file of poses"),
     ],
 )
 def test_poses_of_another_body_are_refused(tmp_path, written, message):

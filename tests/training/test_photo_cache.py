@@ -2,7 +2,7 @@
 
 import time
 from collections import Counter
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from itertools import islice
 
 import jax
@@ -10,8 +10,11 @@ import numpy as np
 import pytest
 
 from splatax.errors import DatasetError
+from splatax.training.devices import Dealt, devices_for
 from splatax.training.feed import batches
+from splatax.training.groups import steps_of
 from splatax.training.photo_cache import PhotoCache
+from splatax.training.recipes import Recipe, with_views
 from splatax.training.resolution import Resolution
 from training.test_training import SIZE, capture
 
@@ -105,3 +108,29 @@ def test_a_photo_that_cannot_be_read_ends_the_run_with_its_name():
     views = (*views[:-1], replace(views[-1], pixels=broken))
     with pytest.raises(DatasetError, match="photo 2: damaged"):
         list(islice(batches(views, 0), len(views)))
+
+
+@dataclass(eq=False)
+class Changing:
+    """A schedule whose divisor is changed from outside, as that of a run whose number of steps changes."""
+
+    now: int
+    asked: set = field(default_factory=set)
+
+    def divisor(self, step, size):
+        self.asked.add(step)
+        return self.now
+
+
+def test_views_of_a_step_that_were_read_ahead_at_another_size_are_read_again():
+    views, schedule = capture().train, Changing(2)
+    recipe = with_views(Recipe(), 2)
+    feed = steps_of(views, recipe, 0, schedule, Dealt(devices_for(2, jax.devices()[:1])))
+    assert next(feed).divisor == 2
+    while 2 not in schedule.asked:  # the next step is read ahead
+        time.sleep(0.001)
+    schedule.now = 1
+    found = next(feed)
+    assert found.divisor == 1
+    assert found.photo.shape[1:3] == SIZE[::-1]
+    feed.close()

@@ -54,6 +54,13 @@ def dense(rig, n):
     return weights
 
 
+def test_the_scene_is_drawn_with_the_filter_that_it_was_trained_with():
+    dataset, poses, pose_of = capture(views=1)
+    recipe = replace(recipe_for(1, 400), low_pass=sx.Antialiasing())
+    (last,) = optimize_rig(dataset, recipe, covering(BODY, 150), poses, pose_of)
+    assert last.gaussians.low_pass == sx.Antialiasing()
+
+
 def test_new_gaussians_follow_the_joints_of_their_parents_and_the_loss_falls():
     last, losses = trained()
     gaussians, rig = last.gaussians, last.rig

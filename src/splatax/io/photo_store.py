@@ -107,7 +107,7 @@ class PhotoStore:
             os.utime(path)
         except FileNotFoundError:
             return None
-        except (OSError, ValueError):
+        except (OSError, ValueError, EOFError):  # NumPy raises the last for an empty file
             remove(path)
             return None
         return found

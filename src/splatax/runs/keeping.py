@@ -6,6 +6,7 @@ from pathlib import Path
 
 from splatax.dataset import Dataset
 from splatax.errors import InputError
+from splatax.io.files import explained
 from splatax.io.photo_store import PhotoStore, kept_on_disk
 from splatax.runs import forecast
 from splatax.runs.budget import parse_bytes
@@ -38,7 +39,7 @@ def user_store() -> PhotoStore | None:
 def with_photos_kept(dataset: Dataset, room: Room) -> tuple[Dataset, str]:
     """Returns a capture whose training photos are kept on disk where they do not fit in memory.
 
-    The photos are the same in any case.
+    The photos are the same in any case. They are not kept if the folder cannot be made.
 
     Returns:
         The capture, and a line about it, which is empty if all photos fit in memory.
@@ -51,7 +52,10 @@ def with_photos_kept(dataset: Dataset, room: Room) -> tuple[Dataset, str]:
     part = f"{gigabytes(wanted)} of photos do not fit in {gigabytes(room.photos)} of memory, so"
     if store is None:
         return dataset, f"{part} the others {again}: {SIZE} is 0"
-    views, use = kept_on_disk(dataset.train, store)
+    try:
+        views, use = kept_on_disk(dataset.train, store)
+    except OSError as error:
+        return dataset, f"{part} the others {again}: {explained(error)} Name another folder: {PLACE}"
     left = f"; {use.photos - use.kept:,} {again}. Allow more: {SIZE}=100GB" if use.kept < use.photos else ""
     line = (
         f"{part} {use.kept:,} of {use.photos:,} are kept decoded on disk: at most {gigabytes(use.size)} in "

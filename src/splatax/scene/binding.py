@@ -45,6 +45,8 @@ def sampled(surface: Surface, count: int, seed: int = 0) -> Surface:
 def bind(gaussians: Gaussians, body: Body) -> Rig:
     """Returns a rig in which each Gaussian follows the joints of the surface point nearest to it.
 
+    Broken Gaussians follow the joints of any point.
+
     Args:
         gaussians: a scene in the coordinates and the bound pose of the body.
         body: its skeleton and surface.
@@ -53,12 +55,15 @@ def bind(gaussians: Gaussians, body: Body) -> Rig:
         InputError: if most Gaussians are far from the surface: the two do not fit together.
     """
     points = sampled(body.surface, SAMPLES)
-    distances, nearest = cKDTree(points.vertices).query(np.asarray(gaussians.means, np.float64))
+    means = np.asarray(gaussians.means, np.float64)
+    known = np.isfinite(means).all(axis=1)
+    distances, nearest = cKDTree(points.vertices).query(np.where(known[:, None], means, 0))
     size = float(np.ptp(body.surface.vertices, axis=0).max())
-    if len(gaussians) and np.median(distances) > FAR * size:
+    if known.any() and np.median(distances[known]) > FAR * size:
+        apart = np.median(distances[known]) / size
         raise InputError(
-            f"most Gaussians are {np.median(distances) / size:.2f} times the size of the body away from its "
-            "surface: the scan and the body do not fit together. Move, turn and scale the scan into the "
+            f"most Gaussians are {apart:.2f} times the size of the body away from its surface: the scan and "
+            "the body do not fit together. Move, turn and scale the scan into the "
             "body's place first (splatax.editing, or splatax export)."
         )
     return _rig(body, points.indices[nearest], points.weights[nearest])

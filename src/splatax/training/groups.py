@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Hashable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from itertools import count, islice
 
@@ -34,7 +34,8 @@ def steps_of(
         views: the training views, at least one.
         recipe: the settings.
         start: number of steps to skip; what follows does not depend on it.
-        resolution: size of the photos at each step.
+        resolution: size of the photos at each step. It may change between steps: views that were read ahead
+            at another size are read again.
         dealt: the devices.
         room: bytes of memory for decoded photos.
     """
@@ -43,9 +44,11 @@ def steps_of(
     size = recipe.views
     here = dealt.drawn_here(size)
 
-    def read(group: list[int], step: int) -> Views:
+    def divisor_at(step: int, group: list[int]) -> int:
         camera = views[group[0]].camera
-        divisor = resolution.divisor(step, (camera.width, camera.height))
+        return resolution.divisor(step, (camera.width, camera.height))
+
+    def read(group: list[int], divisor: int) -> Views:
         frames = [cache.frame(group[place], divisor) for place in here]
         sent = _sent([views[index] for index in group], [origin[i] for i in group], frames, divisor, dealt)
         if known is None:
@@ -54,11 +57,19 @@ def steps_of(
 
     groups = islice(grouped([kind_of(view) for view in views], size, recipe.seed), start, None)
     with ThreadPoolExecutor(1) as reader:
-        ahead = reader.submit(read, next(groups), start + 1)
+
+        def ahead_of(step: int) -> tuple[list[int], int, Future[Views]]:
+            group = next(groups)
+            divisor = divisor_at(step, group)
+            return group, divisor, reader.submit(read, group, divisor)
+
+        ahead = ahead_of(start + 1)
         for step in count(start + 1):
-            ready = ahead.result()
-            ahead = reader.submit(read, next(groups), step + 1)
-            yield ready
+            group, divisor, ready = ahead
+            if divisor != (wanted := divisor_at(step, group)):
+                ready = reader.submit(read, group, wanted)
+            ahead = ahead_of(step + 1)
+            yield ready.result()
 
 
 def grouped(kinds: Sequence[Hashable], size: int, seed: int) -> Iterator[list[int]]:

@@ -18,6 +18,7 @@ from splatax import backends
 from splatax.dataset import Dataset
 from splatax.errors import DatasetError
 from splatax.gaussians import Gaussians
+from splatax.low_pass import LowPass
 from splatax.outputs import over
 from splatax.scene.skeleton import Pose, spun
 from splatax.scene.skin import Rig, skin
@@ -94,11 +95,13 @@ class RigProgress:
     _rig: Rig
     _poses: Pose
     _names: tuple[str, ...]
+    _low_pass: LowPass
 
     @property
     def gaussians(self) -> Gaussians:
         """A copy of the Gaussians in the bound pose."""
-        return jax.tree.map(lambda leaf: jnp.array(leaf[: self.count]), self._state.gaussians)
+        gaussians = jax.tree.map(lambda leaf: jnp.array(leaf[: self.count]), self._state.gaussians)
+        return replace(gaussians, low_pass=self._low_pass)
 
     @property
     def rig(self) -> Rig:
@@ -160,7 +163,7 @@ def optimize_rig(
         state, loss = _step(state, batch, settings, recipe, learned)
         if refinement := schedule.refinement(step, recipe.density):
             state, count = _refined(state, count, refinement, dataset.extent, recipe, refine_key)
-        yield RigProgress(step, loss, count, state, rig, stacked, names)
+        yield RigProgress(step, loss, count, state, rig, stacked, names, recipe.low_pass)
         if step >= recipe.steps:
             return
 

@@ -73,7 +73,7 @@ def compose(path: str | Path) -> Composition:
     """
     path = Path(path)
     try:
-        table = tomllib.loads(path.read_text())
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise FormatError(f"{path}: no such file. Give a .toml file of parts.") from None
     except (OSError, ValueError) as error:
@@ -114,14 +114,24 @@ def _part(path: Path, name: str, row: dict[str, Any], read: dict[tuple[str, str 
     _check_keys(where, row, known)
     source = (str(row["file"]), row.get("node"))
     if source not in read:
-        file, node = path.parent / source[0], source[1]
-        read[source] = formats.load(file) if node is None else load_scene(file)[node].gaussians
+        _read(path.parent / source[0], source, read)
     place = {key: _numbers(f"{where} {key}", row[key], 3) for key in ("degrees", "move") if key in row}
     pose = Similarity.of(**place, scale=float(row.get("scale", 1)))  # type: ignore[arg-type]
     visible = row.get("visible", True)
     if not isinstance(visible, bool):
         raise ValueError(f"{where} visible is {visible!r}, not true or false")
     return Part(read[source], pose, visible, _color(where, row))
+
+
+def _read(file: Path, source: tuple[str, str | None], read: dict[tuple[str, str | None], Gaussians]) -> None:
+    """Reads a file as one set of Gaussians, or those of all its nodes if the source names one."""
+    name, node = source
+    if node is None:
+        read[source] = formats.load(file)
+        return
+    scene = load_scene(file)
+    scene[node]
+    read.update({(name, other): part.gaussians for other, part in scene.parts.items()})
 
 
 def _color(where: str, row: Mapping[str, Any]) -> ColorMap | None:
@@ -164,13 +174,16 @@ def _presentation(path: Path, table: dict[str, Any], variants: Variants) -> Pres
     embed, flight, start = table.get("embed", {}), table.get("path", {}), table.get("start")
     _check_keys("[embed]", embed, ("buttons", "autoplay", "turntable"))
     _check_keys("[path]", flight, ("file", "seconds"))
+    seconds = float(flight.get("seconds", SECONDS))
+    if not 0 < seconds < math.inf:
+        raise ValueError(f"[path] seconds is {seconds}, not a duration above 0")
     cameras = keyframes.read(path.parent / flight["file"], FRAMES, SIZE) if flight else []
     return Presentation(
         variants,
         tuple(spots),
         None if start is None else _view(start),
         cameras,
-        float(flight.get("seconds", SECONDS)),
+        seconds,
         "turntable" if embed.get("turntable", False) else "flight",
         bool(embed.get("autoplay", False)),
         bool(embed.get("buttons", True)),

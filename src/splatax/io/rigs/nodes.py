@@ -209,4 +209,9 @@ def _channel(
     values = values.reshape(len(times), -1, width)
     if prop == "rotation":
         values = values[..., [3, 0, 1, 2]]
+        if not values[:, values.shape[1] // 2].any(axis=1).all():
+            raise FormatError(
+                f"{path}: damaged: the clip {shown(clip)} has a rotation of zeros only. Export the clip "
+                "again."
+            )
     return Channel(joint, prop, times, values, interpolation)  # type: ignore[arg-type]

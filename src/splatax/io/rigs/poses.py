@@ -19,6 +19,7 @@ import numpy as np
 
 from splatax.errors import FormatError, shown
 from splatax.io.files import write_whole
+from splatax.io.formats.untrusted import structured
 from splatax.scene.clips import Clip
 from splatax.scene.skeleton import Pose, Skeleton
 
@@ -49,12 +50,14 @@ def read_poses(path: Path, skeleton: Skeleton, clips: Mapping[str, Clip]) -> Pos
             f'{path}: not a file of poses: it needs "poses" and "photos" '
             f"({type(error).__name__}). docs/rigs.md shows one."
         ) from error
-    poses = {str(name): _pose(path, str(name), pose, skeleton, clips) for name, pose in written.items()}
-    for photo, name in photos.items():
-        if name not in poses:
-            raise FormatError(
-                f"{path}: {shown(photo)} has the pose {shown(str(name))}, which is not in it. Add the pose."
-            )
+    with structured(path, "file of poses"):
+        poses = {str(name): _pose(path, str(name), pose, skeleton, clips) for name, pose in written.items()}
+        for photo, name in photos.items():
+            if name not in poses:
+                raise FormatError(
+                    f"{path}: {shown(photo)} has the pose {shown(str(name))}, which is not in it. Add the "
+                    "pose."
+                )
     return Posing(poses, photos)
 
 

@@ -4,17 +4,23 @@ The file is a mesh of points with KHR_gaussian_splatting, a skin and animations.
 know no skins of splats show it in the bound pose.
 """
 
+import warnings
+from dataclasses import replace
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from splatax.errors import FormatError
+from splatax.gaussians import broken
 from splatax.io.formats import glb, glb_scene
 from splatax.io.formats.glb_scene import EXTENSION
+from splatax.io.formats.marks import MIP, mark
 from splatax.io.formats.untrusted import structured
 from splatax.io.rigs.nodes import read_skeleton
 from splatax.io.rigs.writing import joints_attributes, write_skinned
+from splatax.low_pass import Antialiasing
 from splatax.scene.rigged import RiggedScene
 from splatax.scene.skin import Rig
 from splatax.transforms import Similarity, half_turn
@@ -25,6 +31,9 @@ PLACED = 1e-4  # difference from the identity up to which splats are in the boun
 def save_rigged(path: str | Path, scene: RiggedScene) -> None:
     """Writes a rigged scene as a .glb file. Each Gaussian keeps its four strongest joints.
 
+    Empty slots are left out, and broken Gaussians too, with a warning that counts them. The file names the
+    low-pass filter of the scene.
+
     Raises:
         FormatError: if the SH degree is above 3.
     """
@@ -34,11 +43,18 @@ def save_rigged(path: str | Path, scene: RiggedScene) -> None:
             f"{path}: .glb holds SH up to degree {glb.MAX_SH_DEGREE}, and the scene has degree "
             f"{scene.gaussians.sh_degree}. Reduce it first (splatax.editing.reduce_degree)."
         )
-    rig = scene.rig
-    attributes = glb.attributes_of(half_turn(scene.gaussians, axis=2))
-    attributes |= joints_attributes(np.asarray(rig.indices), np.asarray(rig.weights), len(rig.skeleton))
+    rig, whole = scene.rig, scene.gaussians
+    wrong, empty = broken(whole), np.isneginf(np.asarray(whole.opacity_logits))
+    if count := int(np.sum(wrong & ~empty)):
+        warnings.warn(f"{path}: left out {count:,} Gaussians that are not finite", stacklevel=2)
+    keep = ~wrong & ~empty
+    gaussians = jax.tree.map(lambda leaf: leaf[keep], whole)
+    indices, weights = (np.asarray(rows)[keep] for rows in (rig.indices, rig.weights))
+    attributes = glb.attributes_of(half_turn(gaussians, axis=2))
+    attributes |= joints_attributes(indices, weights, len(rig.skeleton))
     primitive = {"mode": 0, "extensions": {EXTENSION: glb.PROPERTIES}}
-    write_skinned(path, rig.skeleton, scene.clips, attributes, primitive)
+    lines = (mark(whole.low_pass),)
+    write_skinned(path, rig.skeleton, scene.clips, attributes, primitive, comments=lines)
 
 
 def load_rigged(path: str | Path) -> RiggedScene:
@@ -78,6 +94,8 @@ def load_rigged(path: str | Path) -> RiggedScene:
         indices = binding.joints[number][joints.astype(np.int64)]
         if not len(gaussians) == len(indices) == len(weights):
             raise FormatError(f"{path}: damaged: not every splat has joints and weights. Get the file again.")
+        if MIP in glb.comments(path):
+            gaussians = replace(gaussians, low_pass=Antialiasing())
     sums = np.maximum(weights.sum(axis=1, keepdims=True), 1e-12)
     rig = Rig(skeleton, jnp.asarray(indices, jnp.int32), jnp.asarray(weights / sums, jnp.float32))
     return RiggedScene(half_turn(gaussians, axis=2), rig, clips)

@@ -2,7 +2,7 @@
 
 import json
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -82,6 +82,7 @@ def write_skinned(
     attributes: Mapping[str, np.ndarray],
     primitive: Mapping[str, Any],
     triangles: Int[np.ndarray, "t 3"] | None = None,
+    comments: Sequence[str] = (),
 ) -> None:
     """Writes one mesh that follows a skeleton.
 
@@ -92,6 +93,7 @@ def write_skinned(
         attributes: of the vertices, in glTF's frame and the bound pose, with JOINTS_0 and WEIGHTS_0.
         primitive: other properties of the mesh's primitive.
         triangles: indices of vertices; None for a mesh of points.
+        comments: lines for the file's extras.
     """
     glb = Glb()
     count = len(skeleton)
@@ -111,7 +113,7 @@ def write_skinned(
     inverse = glb.add(binds.transpose(0, 2, 1).reshape(count, 16).astype("<f4"))
     animations = [_animation(glb, name, clip) for name, clip in clips.items() if clip.channels]
     gltf: dict[str, Any] = {
-        "asset": {"version": "2.0", "generator": "splatax"},
+        "asset": {"version": "2.0", "generator": "splatax", "extras": {"comments": list(comments)}},
         "scene": 0,
         "scenes": [{"nodes": [*_tops(skeleton), count]}],
         "nodes": [*_nodes(skeleton), {"name": "skinned", "mesh": 0, "skin": 0}, *_frame(skeleton)],

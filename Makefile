@@ -9,11 +9,11 @@ READY := $(VENV)/.ready
 demo: $(READY)  ## trains on a small capture that it makes itself, and prints where the page of the scene is
 	$(BIN)/splatax demo --out runs/demo --overwrite
 
-test: $(READY)  ## all tests but the slow ones
-	$(BIN)/python -m pytest --numprocesses auto --dist worksteal -m "not slow"
+test: $(READY)  ## all tests but those of `make slow`
+	$(BIN)/python -m pytest --numprocesses auto --dist worksteal -m "not slow and not other_build"
 
-slow: $(READY)  ## tests that take many seconds each: whole commands on real captures, installation, browsers, planted mistakes
-	$(BIN)/python -m pytest --numprocesses auto --dist worksteal -m slow
+slow: $(READY)  ## tests that take many seconds each, such as whole commands on real captures, and builds for other CPUs
+	$(BIN)/python -m pytest --numprocesses auto --dist worksteal -m "slow or other_build"
 
 FUZZ_SECONDS ?= 60
 fuzz: $(READY)  ## feeds damaged files to every reader, a minute for each kind

@@ -167,6 +167,7 @@ def test_eval_finds_the_options_of_the_run(capture, tmp_path, options):
     assert scores["psnr"] == pytest.approx(metrics["test"]["psnr"], abs=0.01)
 
 
+@pytest.mark.slow
 def test_bench_times_every_operation_of_every_backend(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("splatax.bench.operations.VIEWS", 2)  # 64 take the reference minutes
     monkeypatch.setattr("splatax.bench.operations.SMALL", (16, 12))

@@ -122,6 +122,7 @@ def test_gauss_newton_products_equal_the_reference(backend):
     assert_same(jax.jit(product, static_argnums=0)(backend), product("reference"), 1e-3)
 
 
+@pytest.mark.slow
 def test_hessian_vector_products_equal_the_reference(backend):
     direction = like(POINT)
 

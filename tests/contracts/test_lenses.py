@@ -88,7 +88,7 @@ def test_the_inverse_has_the_derivatives_of_the_inverse(x64, lens):
 
 
 @pytest.mark.parametrize("method", [Ewa(), Unscented()], ids=["ewa", "unscented"])
-@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize("motion", ["still", pytest.param("rolling", marks=pytest.mark.slow)])
 def test_every_parameter_of_the_camera_matches_finite_differences(x64, lens, method, motion):
     if motion == "rolling" and not isinstance(lens, lenses.Pinhole | lenses.Fisheye):
         pytest.skip("a moving camera compiles slowly; two lenses stand for all")
@@ -156,6 +156,7 @@ def test_ewa_tends_to_the_unscented_transform_as_gaussians_shrink(x64, lens):
     assert differences[1] < max(0.02 * differences[0], 1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", [Ewa(), Unscented()], ids=["ewa", "unscented"])
 def test_a_picture_is_finite_with_finite_gradients_wherever_gaussians_are(lens, method):
     """All around the camera, at it, behind it, and beyond the fold of a distortion."""

@@ -65,6 +65,7 @@ def test_checkpoint(loss, expected):
     assert_same(found, expected[0])
 
 
+@pytest.mark.slow
 def test_shard_map_on_eight_devices(backend):
     folder = Path(__file__).parent
     folders = [str(folder.parent), str(folder.parents[1] / "src"), os.environ.get("PYTHONPATH", "")]

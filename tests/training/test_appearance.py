@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 
 import splatax as sx
@@ -35,6 +36,7 @@ def run(dataset, appearance):
     return progress
 
 
+@pytest.mark.slow
 def test_exposure_is_learned_and_the_scene_keeps_neutral_colours():
     dataset = exposed(capture())
     plain, learned = run(dataset, NoAppearance()), run(dataset, Exposure(rate=0.02, rate_final=0.002))

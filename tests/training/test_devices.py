@@ -55,8 +55,13 @@ def environment():
 @needs_cpu
 @pytest.mark.parametrize(
     "options",
-    [("default",), ("default", "--geometry"), ("classic", "--per-photo")],
-    ids=["default", "geometry", "classic with exposures and poses"],
+    [
+        pytest.param(("default",), id="default"),
+        pytest.param(("default", "--geometry"), id="geometry", marks=pytest.mark.slow),
+        pytest.param(
+            ("classic", "--per-photo"), id="classic with exposures and poses", marks=pytest.mark.slow
+        ),
+    ],
 )
 def test_scene_and_moments_are_the_same_bits_on_1_2_and_8_devices(options):
     found = trained(*options, "--devices", "1", "2", "8")

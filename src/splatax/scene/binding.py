@@ -56,7 +56,7 @@ def bind(gaussians: Gaussians, body: Body) -> Rig:
     """
     points = sampled(body.surface, SAMPLES)
     means = np.asarray(gaussians.means, np.float64)
-    known = np.isfinite(means).all(axis=1)
+    known = np.asarray(np.isfinite(means).all(axis=1))
     distances, nearest = cKDTree(points.vertices).query(np.where(known[:, None], means, 0))
     size = float(np.ptp(body.surface.vertices, axis=0).max())
     if known.any() and np.median(distances[known]) > FAR * size:

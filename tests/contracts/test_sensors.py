@@ -234,6 +234,20 @@ def test_millimetres_hold_16_bits_and_0_where_nothing_is_measured():
     assert_array_equal(sensors.millimetres(depth), [0, 0, 1234, 65535, 0, 0, 0])
 
 
+def test_labels_beyond_their_number_are_refused_also_inside_jit():
+    rows = jnp.arange(len(PLANE), dtype=jnp.int32) % 3
+    labels = Labels(rows, 2)
+    for draw in (observe, jax.jit(lambda scene, camera, sensors: observe(scene, camera, {"l": labels}))):
+        with pytest.raises(ValueError, match="labels up to 2, and count is 2"):
+            draw(PLANE, PINHOLE, {"l": labels})
+
+
+def test_a_body_with_a_scale_is_refused():
+    rig = CameraRig.of([PINHOLE])
+    with pytest.raises(ValueError, match="a body with the scale 2"):
+        rig.at(Similarity.of(scale=2.0))
+
+
 def test_cameras_of_different_kinds_are_no_rig():
     with pytest.raises(ValueError, match="differ in image size"):
         CameraRig.of([PINHOLE, FISHEYE])

@@ -201,3 +201,14 @@ def test_a_scene_of_150_000_gaussians_is_small_enough_to_mail(tmp_path, viewer):
     many = random_gaussians(n=150_000, spread=3.0)
     web.save(tmp_path / "page.html", replace(many, sh=many.sh * 0.15), title="large")  # 0.045, as trained
     assert (tmp_path / "page.html").stat().st_size < 10e6  # the limit of most mail servers
+
+
+@pytest.mark.parametrize("parts", [False, True], ids=["Gaussians", "a scene of parts"])
+def test_broken_gaussians_are_left_out(tmp_path, monkeypatch, parts):
+    (tmp_path / "viewer.js").write_text("")
+    monkeypatch.setattr(page, "VIEWER", tmp_path / "viewer.js")
+    broken = replace(SCENE, means=SCENE.means.at[3].set(jnp.nan))
+    html = web.document(sx.Scene({"a": sx.Part(broken)}) if parts else broken, title="holed")
+    (contents,) = re.findall(r'part\("(?:scene|part-0)", "([^"]*)"\)', html)
+    (tmp_path / "scene.spz").write_bytes(base64.b64decode(contents))
+    assert len(sx.load(tmp_path / "scene.spz")) == len(SCENE) - 1

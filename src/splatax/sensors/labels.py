@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Int
 
 from splatax.cameras import Camera
@@ -49,7 +50,8 @@ class Labels:
         """Returns 1 for each Gaussian in the column of its label; nothing where parts are labels.
 
         Raises:
-            ValueError: if the labels are not as many as the Gaussians, or there are neither labels nor parts.
+            ValueError: if the labels are not as many as the Gaussians, a known one is not below `count`, or
+                there are neither labels nor parts.
         """
         if self.rows is None:
             if isinstance(scene, Gaussians):
@@ -60,6 +62,14 @@ class Labels:
             return {}
         if self.rows.shape != (len(scene),):
             raise ValueError(f"labels of shape {self.rows.shape} for a scene of {len(scene):,} Gaussians.")
+        # With NumPy: inside `jit`, JAX traces operations on known arrays too.
+        if not isinstance(self.rows, jax.core.Tracer):
+            largest = int(np.max(np.asarray(self.rows), initial=-1))
+            if largest >= self.count:
+                raise ValueError(
+                    f"Gaussians have labels up to {largest}, and count is {self.count}. Give 1 + the largest "
+                    "label."
+                )
         first = scene if isinstance(scene, Gaussians) else next(iter(scene.parts.values())).gaussians
         return {"labels": jax.nn.one_hot(self.rows, self.count, dtype=first.means.dtype)}
 

@@ -9,6 +9,8 @@ import jax.numpy as jnp
 from splatax.cameras import Camera, checked
 from splatax.transforms import Similarity
 
+RIGID = 1e-5  # difference of a scale from 1 that is rounding
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
@@ -57,7 +59,15 @@ class CameraRig:
 
         Args:
             world_from_body: rigid transform; its scale must be 1, because cameras are not scaled.
+
+        Raises:
+            ValueError: if the scale is known and is not 1.
         """
+        scale = world_from_body.scale
+        if not isinstance(scale, jax.core.Tracer) and abs(float(scale) - 1) > RIGID:
+            raise ValueError(
+                f"a body with the scale {float(scale):g}, and cameras are not scaled. Give a rigid transform."
+            )
         poses = self.cameras.cam_from_world
         place = world_from_body.cast(poses.dtype)
         back = place.rotation.T

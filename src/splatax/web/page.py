@@ -127,8 +127,8 @@ def _order(gaussians: Gaussians) -> Int[np.ndarray, " n"]:
 
     The file is smaller and drawn faster so. Broken Gaussians and empty slots are left out.
     """
-    nearby = morton.order(np.asarray(gaussians.means))
-    return nearby[~(broken(gaussians) | np.isneginf(np.asarray(gaussians.opacity_logits)))[nearby]]
+    rows = np.flatnonzero(~(broken(gaussians) | np.isneginf(np.asarray(gaussians.opacity_logits))))
+    return rows[morton.order(np.asarray(gaussians.means)[rows])]
 
 
 def _check(scene: Drawable, name: str) -> LowPass:

@@ -11,7 +11,7 @@ from splatax.errors import FormatError
 from splatax.gaussians import Gaussians
 from splatax.scene import ColorMap, Drawable, Scene, Variants, chosen, seen
 from splatax.transforms import Similarity
-from splatax.web.staging import HALF_TURN, SIZE, Stage, pose_at
+from splatax.web.staging import HALF_TURN, SIZE, Stage, pose_at, spread_of
 
 Play = Literal["flight", "turntable"]
 
@@ -118,9 +118,7 @@ def placed(scene: Drawable, place: Similarity) -> tuple[list[dict[str, Any]], di
 
 def _standard(gaussians: Gaussians) -> Similarity:
     """Returns the transform that gives a part the viewer's standard size, for which its files are precise."""
-    means = np.asarray(gaussians.means, np.float64)
-    middle = np.median(means, axis=0)
-    radius = float(np.quantile(np.linalg.norm(means - middle, axis=1), 0.95)) or 1.0
+    middle, radius = spread_of(np.asarray(gaussians.means, np.float64))
     return Similarity(np.eye(3), -SIZE / radius * middle, SIZE / radius)
 
 

@@ -47,8 +47,7 @@ def stage(gaussians: Gaussians, cameras: Mapping[str, Camera]) -> Stage:
     """
     means = np.asarray(gaussians.means, np.float64)
     if not cameras:
-        middle = np.median(means, axis=0)
-        radius = float(np.quantile(np.linalg.norm(means - middle, axis=1), 0.95)) or 1.0
+        middle, radius = spread_of(means)
         place = _place(np.eye(3), middle, SIZE / radius)
         return Stage(place, [], pose_of(_outside(), 2.4 * SIZE) | {"camera": -1})
     poses = list(cameras.values())
@@ -64,6 +63,16 @@ def stage(gaussians: Gaussians, cameras: Mapping[str, Camera]) -> Stage:
     ]
     central = int(np.argmin(np.linalg.norm(eyes - np.median(eyes, axis=0), axis=1)))
     return Stage(place, there, there[central] | {"camera": central})
+
+
+def spread_of(means: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "3"], float]:
+    """Returns the middle of Gaussians, and the radius around it that holds 95 % of them.
+
+    Those that are not finite, which a page leaves out, do not count.
+    """
+    finite = means[np.isfinite(means).all(axis=1)]
+    middle = np.median(finite, axis=0)
+    return middle, float(np.quantile(np.linalg.norm(finite - middle, axis=1), 0.95)) or 1.0
 
 
 def pose_of(camera: Camera, focus: float) -> dict:

@@ -142,3 +142,13 @@ def test_label_images_that_do_not_fit_are_refused(capture, capsys):
     assert "a picture of colors (RGB)" in run()
     Image.new("L", (32, 20)).save(capture / "masks" / "p0.png")
     assert "other proportions" in run()
+
+
+def test_label_numbers_with_gaps_are_refused_before_memory_runs_out(capture, capsys, monkeypatch):
+    monkeypatch.setattr("splatax.cli.label.machine_memory", lambda: 1 << 30)
+    picture = np.asarray(Image.open(capture / "masks" / "p0.png")).astype(np.uint16)
+    picture[0, 0] = 60_000
+    Image.fromarray(picture).save(capture / "masks" / "p0.png")
+    said = refused(capsys, "label", capture / "plane.ply", "--masks", capture / "masks", "--scene", capture)
+    assert "60,001 labels" in said
+    assert "without gaps" in said

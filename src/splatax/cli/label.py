@@ -26,8 +26,12 @@ from splatax.cli.options import (
 from splatax.cli.output import say
 from splatax.errors import InputError
 from splatax.io import label_images
+from splatax.io.memory import machine_memory
 from splatax.io.scenes import save_scene
 
+BYTES = 20  # of a Gaussian and a label: their votes, and channel, weight and sum while a view votes
+BYTES_OF_PIXEL = 8  # of a view and a label: what is chosen, and what is drawn
+MEMORY_SHARE = 2  # votes may take the machine's memory divided by this
 Labelled = list[tuple[sx.Camera, np.ndarray]]
 
 
@@ -67,6 +71,7 @@ class Label:
         count = 1 + max(int(labels.max()) for _, labels in voting + testing)
         if count < 2:
             raise InputError(f"{self.masks}: its label images have no label above 0, so there are no parts.")
+        check_memory(len(model.gaussians), max(labels.size for _, labels in voting), count)
         names = label_images.names_in(self.masks, count)
         renderer = sx.Renderer(backend=resolve_backend(self.backend))
         found = editing.votes(model.gaussians, track(voting, description="voting"), count, renderer)
@@ -103,6 +108,25 @@ class Label:
                 labels = label_images.read(path, view.camera.width, view.camera.height)
                 found.append((view.camera, labels))
         return found
+
+
+def check_memory(gaussians: int, pixels: int, count: int) -> None:
+    """Refuses so many labels that their votes do not fit in memory, such as those of numbers with gaps.
+
+    Args:
+        gaussians: number of Gaussians.
+        pixels: of the largest label image.
+        count: number of labels.
+
+    Raises:
+        InputError: if they do not fit.
+    """
+    needed, limit = (BYTES * gaussians + BYTES_OF_PIXEL * pixels) * count, machine_memory() // MEMORY_SHARE
+    if needed > limit:
+        raise InputError(
+            f"the votes of {gaussians:,} Gaussians for {count:,} labels take {needed / 1e9:.3g} GB, and "
+            f"{limit / 1e9:.3g} GB may be used. Number the labels from 0 without gaps."
+        )
 
 
 def mean_iou(

@@ -188,6 +188,7 @@ def test_a_scan_follows_the_nearest_surface(body_file):
         (lambda g: g["nodes"][0].update(scale=[0, 1, 1]), "sheared, mirrored or scaled to zero"),
         (lambda g: (g.pop("skins"), g["nodes"].pop()), "nothing in it can move"),
         (lambda g: g["accessors"][0].update(count=10**6), "truncated"),
+        (lambda g: g["nodes"].extend([{"mesh": 0}] * 50_000), "its nodes ask for .* vertices, far more"),
     ],
 )
 def test_files_that_cannot_be_right_are_refused_by_name(body_file, change, message):

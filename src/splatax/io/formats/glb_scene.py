@@ -107,17 +107,28 @@ def accessors(
 
 
 def check_repetition(
-    path: Path, gltf: dict[str, Any], buffer: bytes, primitives: list[dict[str, Any]]
+    path: Path,
+    gltf: dict[str, Any],
+    buffer: bytes,
+    primitives: list[dict[str, Any]],
+    rows: str = "Gaussians",
 ) -> None:
-    """Refuses a file whose nodes repeat its splats so often that memory would run out.
+    """Refuses a file whose nodes repeat its splats or meshes so often that memory would run out.
+
+    Args:
+        path: the file.
+        gltf: its JSON chunk.
+        buffer: its binary chunk.
+        primitives: of all nodes that are read.
+        rows: what a row of a primitive is, for the message.
 
     Raises:
-        FormatError: if the nodes ask for too many Gaussians.
+        FormatError: if the nodes ask for too many rows.
     """
     counts = [gltf["accessors"][primitive["attributes"]["POSITION"]]["count"] for primitive in primitives]
     if SMALLEST_ROW * sum(counts) > max(ALWAYS_ALLOWED, MAX_REPETITION * len(buffer)):
         raise FormatError(
-            f"{path}: damaged: its nodes ask for {sum(counts):,} Gaussians, far more than the "
+            f"{path}: damaged: its nodes ask for {sum(counts):,} {rows}, far more than the "
             f"{len(buffer):,} bytes of the file hold. Get the file again."
         )
 

@@ -27,14 +27,17 @@ def read_body(path: str | Path) -> Body:
         raise FormatError(f"{path}: no such file. Give a .glb file with a mesh and its skeleton.")
     with structured(path, ".glb"):
         gltf, buffer = glb_scene.chunks(path)
-        skeleton, clips, nodes, binding = read_skeleton(path, gltf, buffer)
-        parts = [
-            _part(path, gltf, buffer, number, primitive, nodes, binding)
-            for number, node in enumerate(gltf["nodes"])
+        found = [
+            (number, primitive)
+            for number, node in enumerate(gltf.get("nodes", ()))
             if "mesh" in node
             for primitive in gltf["meshes"][node["mesh"]]["primitives"]
             if primitive.get("mode", TRIANGLES) == TRIANGLES
         ]
+        primitives = [primitive for _, primitive in found]
+        glb_scene.check_repetition(path, gltf, buffer, primitives, "vertices")
+        skeleton, clips, nodes, binding = read_skeleton(path, gltf, buffer)
+        parts = [_part(path, gltf, buffer, number, primitive, nodes, binding) for number, primitive in found]
         if not parts:
             raise FormatError(f"{path}: no triangles. Give a .glb file with a mesh and its skeleton.")
         surface = _joined(parts)

@@ -87,3 +87,9 @@ def test_one_place_after_another_is_both():
 def test_what_is_no_similarity_is_refused(rotation, scale, message):
     with pytest.raises(ValueError, match=message):
         Similarity(rotation, np.zeros(3), scale)
+
+
+def test_the_inverse_is_computed_in_full_precision_on_devices_that_round_products():
+    place = PLACES[0].cast(jnp.float32)
+    program = str(jax.make_jaxpr(lambda place: jax.tree.leaves(place.inverse()))(place))
+    assert program.count("dot_general") == program.count("(Precision.HIGHEST, Precision.HIGHEST)") == 1

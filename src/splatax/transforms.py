@@ -120,6 +120,7 @@ class Similarity:
         translation = a.scale * (a.rotation @ b.translation) + a.translation
         return Similarity(a.rotation @ b.rotation, translation, a.scale * b.scale)
 
+    @jax.default_matmul_precision("highest")
     def inverse(self) -> "Similarity":
         """Returns the transform that undoes this one."""
         back = self.rotation.T

@@ -155,3 +155,11 @@ def test_orthogonal_columns_keep_their_order():
     quat, scales = principal_axes(jnp.asarray(rotation * [3.0, 1.0, 2.0], jnp.float32))
     np.testing.assert_allclose(scales, [3, 1, 2], rtol=1e-6)
     np.testing.assert_allclose(to_rotation(quat), rotation, atol=1e-6)
+
+
+def test_indices_that_are_no_joints_of_each_gaussian_are_refused():
+    gaussians, rig = blended(n=4)
+    joints = rig.skeleton.worlds(rig.skeleton.rest)
+    for wrong in (rig.indices[:-1], rig.indices.astype(jnp.float32)):
+        with pytest.raises(ValueError, match="indices"):
+            skin(gaussians, replace(rig, indices=wrong), joints)

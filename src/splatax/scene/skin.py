@@ -60,6 +60,11 @@ def skin(gaussians: Gaussians, rig: Rig, joints: Float[Array, "j 4 4"]) -> Gauss
             "inverse_binds": (rig.skeleton.inverse_binds, "j 4 4"),
         },
     )
+    if rig.indices.shape != rig.weights.shape or rig.indices.dtype.kind != "i":
+        raise ValueError(
+            f"Rig: indices are {rig.indices.dtype}{rig.indices.shape}, but must be whole numbers in the shape "
+            f"of the weights, {rig.weights.shape}."
+        )
     return _skin(gaussians, rig, joints)
 
 

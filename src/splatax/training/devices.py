@@ -37,9 +37,12 @@ def devices_for(views: int, devices: Sequence[jax.Device] | None = None) -> Mesh
         devices: to choose from, the first ones; None for all that JAX has, of all processes.
 
     Raises:
-        ValueError: if devices are named, or there are several processes, and they do not divide the views.
+        ValueError: if the list is empty, or if devices are named or there are several processes, and they do
+            not divide the views.
     """
     found = list(jax.devices() if devices is None else devices)
+    if not found:
+        raise ValueError("no devices are given. Give at least one, or None for all.")
     count = max(d for d in range(1, min(len(found), views) + 1) if views % d == 0)
     if count != len(found) and (devices is not None or jax.process_count() > 1):
         raise ValueError(

@@ -144,7 +144,12 @@ def optimize_rig(
 
     Raises:
         DatasetError: if there are no training photos, or one has no pose.
+        ValueError: if the recipe has several views a step, which this trainer does not make, or no steps.
     """
+    if recipe.views != 1 or recipe.steps < 1:
+        raise ValueError(
+            f"a rig is trained in at least one step on one view each, not {recipe.steps} steps on {recipe.views}"
+        )
     if not dataset.train:
         raise DatasetError("The capture has no photos to train on.")
     for view in dataset.train:

@@ -62,8 +62,8 @@ def skin(gaussians: Gaussians, rig: Rig, joints: Float[Array, "j 4 4"]) -> Gauss
     )
     if rig.indices.shape != rig.weights.shape or rig.indices.dtype.kind != "i":
         raise ValueError(
-            f"Rig: indices are {rig.indices.dtype}{rig.indices.shape}, but must be whole numbers in the shape "
-            f"of the weights, {rig.weights.shape}."
+            f"Rig: indices are {rig.indices.dtype}{rig.indices.shape}, but must be whole numbers in the "
+            f"shape of the weights, {rig.weights.shape}."
         )
     return _skin(gaussians, rig, joints)
 

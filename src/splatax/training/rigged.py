@@ -148,7 +148,7 @@ def optimize_rig(
     """
     if recipe.views != 1 or recipe.steps < 1:
         raise ValueError(
-            f"a rig is trained in at least one step on one view each, not {recipe.steps} steps on {recipe.views}"
+            f"a rig is trained in at least one step of one view, not {recipe.steps} steps of {recipe.views}"
         )
     if not dataset.train:
         raise DatasetError("The capture has no photos to train on.")

@@ -97,7 +97,7 @@ def exchanged(number: int) -> int:
 dataset, start = capture(views=12), None
 if options.bytes:
     for number in options.devices:
-        print(number, exchanged(number))
+        print("run", number, exchanged(number))
     raise SystemExit
 for number in options.devices:
     here = jax.devices()[:number]
@@ -106,4 +106,4 @@ for number in options.devices:
             start = checkpoint.restore(checkpoint.take(progress.state, {}, {}), recipe())
             break
     else:
-        print(number, progress.count, digest(progress.state), float(progress.loss))
+        print("run", number, progress.count, digest(progress.state), float(progress.loss), flush=True)

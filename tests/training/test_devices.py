@@ -1,6 +1,7 @@
 """A step of several views gives the same scene, bit for bit, on any number of devices and processes."""
 
 import os
+import re
 import socket
 import subprocess
 import sys
@@ -38,9 +39,8 @@ def program(*arguments):
 
 
 def results(output):
-    """Number of Gaussians, digest and loss by number of devices; the library of collectives prints too."""
-    lines = [line.split() for line in output.splitlines() if line[:1].isdigit()]
-    return {int(devices): rest for devices, *rest in lines}
+    """Number of Gaussians, digest and loss by number of devices; the collectives print between."""
+    return {int(devices): rest.split() for devices, rest in re.findall(r"run (\d+) (.*)", output)}
 
 
 def trained(*arguments):

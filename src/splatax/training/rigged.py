@@ -32,7 +32,7 @@ from splatax.training.per_photo import PerPhoto
 from splatax.training.recipes import Recipe, ShSchedule, default
 from splatax.training.resolution import Resolution
 from splatax.training.schedule import Schedule
-from splatax.training.step import photo_over
+from splatax.training.step import filtered, photo_over
 
 POSE_RATE = 5e-3  # radians a step, at the start
 WEIGHT_RATE = 0.02  # of the logarithms, a step, at the start
@@ -210,7 +210,7 @@ def _step(
     kernels = backends.resolve(recipe.backend)
     photo = photo_over(batch.photo, background)
     pose = settings.which[batch.source.view]
-    low_pass = replace(recipe.low_pass, variance=recipe.low_pass.variance / batch.divisor**2)
+    low_pass = filtered(recipe.low_pass, batch.divisor)
 
     def project_view(gaussians, logits, turns):
         rig = replace(settings.rig, indices=state.indices, weights=jax.nn.softmax(logits, axis=1))

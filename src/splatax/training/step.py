@@ -14,6 +14,7 @@ from splatax import backends
 from splatax.cameras import Camera
 from splatax.drawn import Seen, unrolled
 from splatax.gaussians import Gaussians
+from splatax.low_pass import LowPass
 from splatax.outputs import over
 from splatax.splats import Splats
 from splatax.stages import composite, project
@@ -98,18 +99,35 @@ def _train_step(
         recipe.appearance.update(state.appearance, batch.source, d.appearance, progress, total),
         recipe.camera_refinement.update(state.cameras, batch.source, d.camera, progress, total),
     )
+    return advanced(replace(state, gaussians=gaussians, opt_state=opt_state), learned, good), loss
+
+
+def advanced(state: TrainState, learned: tuple[Any, Any, Any], good: Bool[Array, ""]) -> TrainState:
+    """Returns the state after a step that has moved the Gaussians.
+
+    Args:
+        state: before the step, with the moved Gaussians and the optimizer's new state.
+        learned: new states of density control, appearance and cameras; kept only if the step is good.
+        good: whether the loss is finite. If not, the step is counted as a fault.
+    """
     known = state.density_state, state.appearance, state.cameras
     density_state, appearance, cameras = jax.tree.map(partial(jnp.where, good), learned, known)
     return replace(
         state,
         step=state.step + 1,
-        gaussians=gaussians,
-        opt_state=opt_state,
         density_state=density_state,
         appearance=appearance,
         cameras=cameras,
         faults=state.faults._replace(steps=state.faults.steps + ~good),
-    ), loss
+    )
+
+
+def filtered(low_pass: LowPass, divisor: int) -> LowPass:
+    """Returns the filter for photos that are smaller by `divisor`.
+
+    It keeps its size in pixels of the full photo, so that smaller photos do not blur the scene.
+    """
+    return replace(low_pass, variance=low_pass.variance / divisor**2)
 
 
 class Gradients(NamedTuple):
@@ -164,8 +182,7 @@ class Target(NamedTuple):
 
 def shown(gaussians: Gaussians, camera: Camera, recipe: Recipe, divisor: int) -> Shown:
     """Projects a scene, or a part of it, for a photo that is smaller by `divisor`."""
-    # The filter keeps its size in pixels of the full photo, so that smaller photos do not blur the scene.
-    low_pass = replace(recipe.low_pass, variance=recipe.low_pass.variance / divisor**2)
+    low_pass = filtered(recipe.low_pass, divisor)
     splats = project(gaussians, camera, low_pass=low_pass, backend=backends.resolve(recipe.backend))
     channels = geometry.channels(recipe.objective.geometry.outputs, Seen(splats, gaussians, camera))
     return Shown(recipe.density.watch(splats), channels)

@@ -33,7 +33,7 @@ from splatax.training.devices import (
 from splatax.training.optimizer import LearningRates
 from splatax.training.protocols import Source
 from splatax.training.recipes import Recipe
-from splatax.training.step import TrainState
+from splatax.training.step import TrainState, advanced
 
 
 @partial(jax.jit, static_argnames=("recipe", "mesh"), donate_argnames="state")
@@ -88,21 +88,9 @@ def _on_each(
     gaussians, opt_state = _moved(state, gradients, depths, Move(rates, good, noise_key), recipe)
 
     density_state = _observed(state.density_state, splats, d.splats, recipe)
-    appearance, cameras = _photos_updated(state, views.source, d, recipe)
-    known = state.density_state, state.appearance, state.cameras
-    density_state, appearance, cameras = jax.tree.map(
-        partial(jnp.where, good), (density_state, appearance, cameras), known
-    )
-    return replace(
-        state,
-        step=state.step + 1,
-        gaussians=gaussians,
-        opt_state=opt_state,
-        density_state=density_state,
-        appearance=appearance,
-        cameras=cameras,
-        faults=state.faults._replace(steps=state.faults.steps + ~good),
-    ), jnp.mean(losses)
+    learned = (density_state, *_photos_updated(state, views.source, d, recipe))
+    moved = replace(state, gaussians=gaussians, opt_state=opt_state)
+    return advanced(moved, learned, good), jnp.mean(losses)
 
 
 class Move(NamedTuple):

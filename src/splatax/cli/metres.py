@@ -79,7 +79,7 @@ def places(model: Model, capture: Path | None, texts: tuple[str, str]) -> list[n
         folder = capture or scene_of(model)
         if folder is None:
             raise InputError(
-                f"{texts[0]} and {texts[1]}: not both points X,Y,Z. For names of photos the capture is "
+                f"{texts[0]} and {texts[1]}: not both points X,Y,Z; for photos the capture is "
                 f"needed, which {model.path} does not name.",
                 options=("scene",),
             )

@@ -9,8 +9,7 @@ from jaxtyping import Array, Float
 from splatax.cameras import Camera
 from splatax.math import rigid
 from splatax.outputs import Rendering
-from splatax.scene import Drawable
-from splatax.sensors.protocol import Key
+from splatax.sensors.protocol import Key, Plain
 
 TOE, SLOPE, OFFSET, POWER = 0.04045, 12.92, 0.055, 2.4  # of the sRGB curve (IEC 61966-2-1)
 
@@ -68,7 +67,7 @@ class MotionBlur:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Color:
+class Color(Plain):
     """A color camera. Its measurement is an image [h w 3], display-referred (sRGB), in [0, 1].
 
     Attributes:
@@ -87,10 +86,6 @@ class Color:
     def views(self, camera: Camera) -> tuple[Camera, ...]:
         """Returns the views to average."""
         return (camera,) if self.blur is None else self.blur.views(camera)
-
-    def features(self, scene: Drawable) -> dict[str, Array]:
-        """Returns nothing: colors are all that is drawn."""
-        return {}
 
     def read(
         self, drawn: tuple[Rendering, ...], views: tuple[Camera, ...], key: Key | None

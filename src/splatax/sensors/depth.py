@@ -10,8 +10,7 @@ from jaxtyping import Array, Bool, Float, UInt16
 from splatax.cameras import Camera
 from splatax.cameras.geometry import rays
 from splatax.outputs import Rendering
-from splatax.scene import Drawable
-from splatax.sensors.protocol import Key
+from splatax.sensors.protocol import Key, Plain
 from splatax.surfaces import pixel_centers, positions_of
 
 Frame = Literal["sensor", "world"]
@@ -64,7 +63,7 @@ class DepthNoise:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Depth:
+class Depth(Plain):
     """A depth camera. Its measurement is an image [h w], in metres if the scene is.
 
     A pixel is measured if the surface fills at least half of it and lies in range. Other pixels hold
@@ -92,14 +91,6 @@ class Depth:
         """Names of the outputs of `render` that the sensor needs."""
         return ("alpha", self.surface, *(("normals",) if self.noise else ()))
 
-    def views(self, camera: Camera) -> tuple[Camera, ...]:
-        """Returns the camera itself."""
-        return (camera,)
-
-    def features(self, scene: Drawable) -> dict[str, Array]:
-        """Returns nothing: depth is all that is drawn."""
-        return {}
-
     def read(
         self, drawn: tuple[Rendering, ...], views: tuple[Camera, ...], key: Key | None
     ) -> Float[Array, "h w"]:
@@ -118,7 +109,7 @@ class Depth:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Normals:
+class Normals(Plain):
     """Surface normals. The measurement is an image [h w 3] of unit vectors; 0 where there is no surface.
 
     Attributes:
@@ -132,14 +123,6 @@ class Normals:
         """Names of the outputs of `render` that the sensor needs."""
         return ("alpha", "normals")
 
-    def views(self, camera: Camera) -> tuple[Camera, ...]:
-        """Returns the camera itself."""
-        return (camera,)
-
-    def features(self, scene: Drawable) -> dict[str, Array]:
-        """Returns nothing: normals are all that is drawn."""
-        return {}
-
     def read(
         self, drawn: tuple[Rendering, ...], views: tuple[Camera, ...], key: Key | None
     ) -> Float[Array, "h w 3"]:
@@ -151,7 +134,7 @@ class Normals:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class PointCloud:
+class PointCloud(Plain):
     """An organized point cloud. The measurement is [h w 3], one point for each pixel; NaN where invalid.
 
     Points in the sensor's frame are in the axes of the camera as it stands in the middle of its exposure.
@@ -168,14 +151,6 @@ class PointCloud:
     def outputs(self) -> tuple[str, ...]:
         """Names of the outputs of `render` that the sensor needs."""
         return self.depth.outputs
-
-    def views(self, camera: Camera) -> tuple[Camera, ...]:
-        """Returns the camera itself."""
-        return (camera,)
-
-    def features(self, scene: Drawable) -> dict[str, Array]:
-        """Returns nothing: depth is all that is drawn."""
-        return {}
 
     def read(
         self, drawn: tuple[Rendering, ...], views: tuple[Camera, ...], key: Key | None

@@ -11,12 +11,12 @@ from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
 from splatax.outputs import Rendering
 from splatax.scene import Drawable
-from splatax.sensors.protocol import Key
+from splatax.sensors.protocol import Key, Plain
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Labels:
+class Labels(Plain):
     """A camera of labels. Its measurement is an image [h w] of whole numbers, -1 where nothing wins.
 
     A pixel has the label of the Gaussians that fill most of it, if that is more than what shows through.
@@ -41,10 +41,6 @@ class Labels:
     def outputs(self) -> tuple[str, ...]:
         """Names of the outputs of `render` that the sensor needs."""
         return ("alpha", "parts") if self.rows is None else ("alpha",)
-
-    def views(self, camera: Camera) -> tuple[Camera, ...]:
-        """Returns the camera itself."""
-        return (camera,)
 
     def features(self, scene: Drawable) -> dict[str, Array]:
         """Returns 1 for each Gaussian in the column of its label; nothing where parts are labels.

@@ -12,9 +12,8 @@ from jaxtyping import Array, Float, Int
 from splatax.cameras import Camera, panorama
 from splatax.cameras.geometry import rays
 from splatax.outputs import Rendering
-from splatax.scene import Drawable
 from splatax.sensors.depth import COVERED, Frame
-from splatax.sensors.protocol import Key
+from splatax.sensors.protocol import Key, Plain
 
 MOST_CORRECTION = 1.25  # of a range by its plane; planes that are seen at a grazing angle would ask for more
 
@@ -35,7 +34,7 @@ class Scan(NamedTuple):
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Lidar:
+class Lidar(Plain):
     """A LiDAR. Its measurement is a `Scan`.
 
     The surroundings are drawn once through an equirectangular lens. Each ray reads the pixel that it falls
@@ -68,10 +67,6 @@ class Lidar:
     def views(self, camera: Camera) -> tuple[Camera, ...]:
         """Returns a panorama from the camera's place, in the camera's axes."""
         return (panorama(camera.cam_from_world, 2 * self.height, self.height),)
-
-    def features(self, scene: Drawable) -> dict[str, Array]:
-        """Returns nothing: ranges are all that is drawn."""
-        return {}
 
     @jax.default_matmul_precision("highest")
     def read(self, drawn: tuple[Rendering, ...], views: tuple[Camera, ...], key: Key | None) -> Scan:

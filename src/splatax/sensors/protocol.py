@@ -42,3 +42,15 @@ class Sensor(Protocol):
             key: of the noise; None for a measurement without noise.
         """
         ...
+
+
+class Plain:
+    """The base of sensors that draw the view of the camera itself, or nothing beside the outputs."""
+
+    def views(self, camera: Camera) -> tuple[Camera, ...]:
+        """Returns the camera itself."""
+        return (camera,)
+
+    def features(self, scene: Drawable) -> dict[str, Array]:
+        """Returns nothing: the outputs are all that is drawn."""
+        return {}

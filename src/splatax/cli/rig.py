@@ -105,7 +105,7 @@ class RigCommand:
             clips = ", ".join(body.clips) or "none"
             raise InputError(
                 f"--poses {self.poses}: neither a .json file nor a clip of {self.skeleton}, "
-                f"whose clips are: {clips}."
+                f"which has: {clips}."
             )
         return read_poses(Path(self.poses), body.skeleton, body.clips)
 

@@ -58,16 +58,16 @@ def test_config_holds_all_that_repeats_a_run(trained, capture):
 def test_options_decide_over_the_recipe_and_nothing_else_does(capture):
     dataset = sx.load_dataset(capture)
     plain = Settings(capture).to_recipe(dataset)
-    assert plain == replace(PRESETS["default"].build(30_000, room_for(dataset)), backend=plain.backend)
+    assert plain == PRESETS["default"].build(30_000, room_for(dataset)).on(plain.drawing.backend)
     chosen = Settings(capture, recipe="mcmc", max_gaussians=70, init="random", background="white")
     recipe = chosen.to_recipe(dataset)
     assert recipe.density.max_gaussians == 70
     assert recipe.initialization == InFrusta(opacity=0.5, scale=0.1)
-    assert recipe.background == Solid((1.0, 1.0, 1.0))
+    assert recipe.drawing.background == Solid((1.0, 1.0, 1.0))
     surfaces = Settings(capture, geometry=True).to_recipe(dataset)
     assert surfaces == replace(plain, objective=replace(plain.objective, geometry=Surfaces()))
     classic = Settings(capture, recipe="classic").to_recipe(dataset)
-    assert classic == replace(PRESETS["classic"].build(), backend=plain.backend)
+    assert classic == PRESETS["classic"].build().on(plain.drawing.backend)
 
 
 def test_eval_of_the_run_repeats_its_scores(trained, capture, tmp_path, capsys):

@@ -60,7 +60,7 @@ def recipe() -> sx.Recipe:
         made = replace(made, appearance=Exposure(), camera_refinement=Poses())
     if options.geometry:
         made = replace(made, objective=replace(made.objective, geometry=Surfaces()))
-    return with_views(replace(made, sh=ShSchedule(1, 2), backend="cpu"), VIEWS)
+    return with_views(replace(made.on("cpu"), sh=ShSchedule(1, 2)), VIEWS)
 
 
 def digest(state) -> str:
@@ -80,7 +80,7 @@ def digest(state) -> str:
 
 def exchanged(number: int) -> int:
     """Bytes that a device gets in a step, counted from the compiled program."""
-    made = replace(recipe(), backend=backends.resolve("cpu"))
+    made = recipe().on(backends.resolve("cpu"))
     stepper = stepper_for(made, jax.devices()[:number])
     start = pad(made.initialization(dataset, 1, 0), ROWS)
     state = stepper.placed(first_state(start, made, 1.0, len(dataset.train)))

@@ -99,13 +99,13 @@ def test_the_penalty_has_the_gradient_of_finite_differences(x64):
 
 def test_a_step_adds_the_penalty_and_its_gradient_to_those_of_the_photo():
     dataset, camera = capture(), capture().train[0].camera
-    recipe = replace(RECIPE, backend=backends.resolve("auto"))
+    recipe = RECIPE.on(backends.resolve("auto"))
     state = first_state(recipe.initialization(dataset, 1, 0), recipe, 1.0, 5)
     landmarks = jnp.asarray(dataset.points.positions)
     batch = Batch(camera, jnp.asarray(dataset.train[0].pixels()), landmarks=landmarks)
 
     def penalty(gaussians):
-        drawn = sx.render(gaussians, camera, outputs=SURFACES.outputs, low_pass=recipe.low_pass)
+        drawn = sx.render(gaussians, camera, outputs=SURFACES.outputs, low_pass=recipe.drawing.low_pass)
         return SURFACES(drawn.images, camera, landmarks, jnp.zeros(()))
 
     def step(geometry):
@@ -134,7 +134,7 @@ def test_without_regularizers_only_colours_are_drawn():
     batch = Batch(dataset.train[0].camera, jnp.asarray(dataset.train[0].pixels()))
     for geometry in (Objective().geometry, Surfaces(0.1, 0.0, 0.0), Surfaces(0.1, 0.1, 0.0)):
         kernels = replace(portable, name=f"counting {geometry}", composite=composite)
-        recipe = replace(RECIPE, backend=kernels, objective=Objective(geometry=geometry))
+        recipe = replace(RECIPE.on(kernels), objective=Objective(geometry=geometry))
         state = first_state(recipe.initialization(dataset, 1, 0), recipe, 1.0, 5)
         jax.eval_shape(lambda state, recipe=recipe: compare(state, batch, recipe, jnp.zeros(3))[0], state)
     assert sorted(set(widths)) == [3, 9, 12]

@@ -12,7 +12,7 @@ import splatax as sx
 from scenes import camera_at
 from splatax.demo.capture import write_capture
 from splatax.training.optimizer import LearningRates
-from splatax.training.recipes import PRESETS, ShSchedule, rates_for, room_for, steps_for
+from splatax.training.recipes import PRESETS, Drawing, ShSchedule, rates_for, room_for, steps_for
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -24,7 +24,7 @@ def test_a_recipe_is_a_value(name):
 
 
 def test_a_trained_scene_knows_its_filter():
-    recipe = sx.Recipe(steps=1, low_pass=sx.Antialiasing())
+    recipe = sx.Recipe(steps=1, drawing=Drawing(low_pass=sx.Antialiasing()))
     assert sx.fit(capture(), recipe).low_pass == sx.Antialiasing()
 
 

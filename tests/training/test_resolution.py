@@ -9,6 +9,7 @@ import pytest
 
 from scenes import camera_at
 from splatax.dataset import View
+from splatax.low_pass import Dilation
 from splatax.training.feed import Batch, batches
 from splatax.training.initialize import FromPoints
 from splatax.training.loop import first_state
@@ -42,12 +43,10 @@ def test_the_low_pass_filter_is_of_pixels_of_the_whole_photo():
     state = first_state(gaussians, RECIPE, 1.0, len(dataset.train))
     view = dataset.train[0]
     photo = jnp.asarray(view.pixels())
-    low_pass = replace(RECIPE.low_pass, variance=4 * RECIPE.low_pass.variance)
+    wider = replace(RECIPE.drawing, low_pass=replace(Dilation(), variance=4 * Dilation().variance))
     losses = [
-        compare(
-            state, Batch(view.camera, photo, divisor=divisor), replace(recipe, backend="xla"), jnp.zeros(3)
-        )[0]
-        for divisor, recipe in ((1, RECIPE), (2, replace(RECIPE, low_pass=low_pass)), (2, RECIPE))
+        compare(state, Batch(view.camera, photo, divisor=divisor), recipe.on("xla"), jnp.zeros(3))[0]
+        for divisor, recipe in ((1, RECIPE), (2, replace(RECIPE, drawing=wider)), (2, RECIPE))
     ]
     assert losses[0] == losses[1] != losses[2]
 

@@ -55,7 +55,7 @@ def test_a_step_without_a_finite_loss_changes_no_gaussian_and_is_counted(name):
 @pytest.mark.parametrize("field", ["means", "log_scales", "opacity_logits", "sh"])
 def test_a_gaussian_that_is_not_finite_is_removed_and_the_rest_learns_on(name, field):
     dataset, recipe = capture(), shortened(name)
-    recipe = replace(recipe, backend=sx.backends.resolve("auto"))
+    recipe = recipe.on(sx.backends.resolve("auto"))
     gaussians = recipe.initialization(dataset, recipe.sh.degree, recipe.seed)
     broken = replace(gaussians, **{field: getattr(gaussians, field).at[3].set(jnp.nan)})
     start = first_state(pad(broken, 1024), recipe, dataset.extent, len(dataset.train))

@@ -16,7 +16,7 @@ from splatax.training.backgrounds import BACKGROUNDS, Solid
 from splatax.training.density import Classic, NoDensityControl
 from splatax.training.initialize import FromPoints, InFrusta, focus_distance
 from splatax.training.optimizer import LearningRates, without_locked_bands
-from splatax.training.recipes import ShSchedule
+from splatax.training.recipes import Drawing, ShSchedule
 from splatax.training.step import photo_over
 
 SIZE = (40, 32)
@@ -130,7 +130,7 @@ def test_evaluation_composites_photos_with_alpha():
 
 def test_training_on_photos_with_alpha_runs():
     assert np.isfinite(
-        run(capture(alpha=True), replace(RECIPE, steps=3, background=Solid((1.0, 1.0, 1.0))))[-1][1]
+        run(capture(alpha=True), replace(RECIPE, steps=3, drawing=Drawing(Solid((1.0, 1.0, 1.0)))))[-1][1]
     )
 
 

@@ -152,7 +152,7 @@ def training(scene: Scene, backend: str) -> dict[str, Operation]:
     return {
         f"loss{BACKWARD}": lambda: loss_gradient(image, photo),
         "Adam": adam(scene),
-        "training step": step(scene, replace(Recipe(), backend=backend)),
+        "training step": step(scene, Recipe().on(backend)),
     }
 
 

@@ -181,7 +181,7 @@ class Export:
         """Returns the scene after some steps of training on the capture, with a progress bar."""
         say(f"tuning {len(gaussians):,} Gaussians on {counted(len(dataset.train))}, {self.tune:,} steps")
         recipe = tuning(gaussians, self.tune, Solid(background_of(model.options)))
-        recipe = replace(recipe, backend=resolve_backend(self.backend))
+        recipe = recipe.on(resolve_backend(self.backend))
         with Display(self.tune) as display:
             for progress in tune(gaussians, dataset, recipe):
                 display.step(progress.step, progress.loss, progress.count)

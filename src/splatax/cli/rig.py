@@ -78,7 +78,7 @@ class RigCommand:
         recipe = recipe_for(self.steps, most, self.seed)
         behind = self.background or dataset.background
         if behind:
-            recipe = replace(recipe, background=BACKGROUNDS[behind])
+            recipe = replace(recipe, drawing=replace(recipe.drawing, background=BACKGROUNDS[behind]))
         start = covering(body, max(most // 2, 1), seed=self.seed)
         with claimed_for_run(self.out, self.overwrite):
             last = None
@@ -90,7 +90,7 @@ class RigCommand:
                     if interruption.requested:
                         break
             assert last
-            self._write(body, dataset, posing, last, recipe.background.rgb)
+            self._write(body, dataset, posing, last, recipe.drawing.background.rgb)
 
     def _posing(self, body: Body, dataset: sx.Dataset) -> Posing:
         """Returns the poses of the photos, from the file or the clip.

@@ -29,7 +29,7 @@ from splatax.training.backgrounds import BACKGROUNDS
 from splatax.training.camera_refinement import CAMERA_REFINEMENTS
 from splatax.training.geometry import Surfaces
 from splatax.training.protocols import Initialization
-from splatax.training.recipes import PRESETS
+from splatax.training.recipes import PRESETS, Drawing
 
 LOWEST = {
     "steps": 1,
@@ -129,14 +129,17 @@ class Settings:
         recipe = preset.build(steps=self.steps, max_gaussians=self.most(dataset), views=self.views)
         if self.geometry:
             recipe = replace(recipe, objective=replace(recipe.objective, geometry=Surfaces()))
+        drawing = Drawing(
+            background=BACKGROUNDS[self.background] if self.background else recipe.drawing.background,
+            low_pass=LOW_PASSES[self.low_pass],
+            backend=resolve_backend(self.backend),
+        )
         return replace(
             recipe,
             initialization=self.initialization(),
-            background=BACKGROUNDS[self.background] if self.background else recipe.background,
             appearance=APPEARANCES["none" if self.appearance == "auto" else self.appearance],
             camera_refinement=CAMERA_REFINEMENTS[self.refine],
-            low_pass=LOW_PASSES[self.low_pass],
-            backend=resolve_backend(self.backend),
+            drawing=drawing,
             seed=self.seed,
         )
 

@@ -1,7 +1,6 @@
 """Estimates the training time on this machine from a few measured steps."""
 
 import time
-from dataclasses import replace
 
 from splatax import backends
 from splatax.bench.operations import step
@@ -25,7 +24,7 @@ def seconds_to_train(dataset: Dataset, gaussians: int) -> float:
         dataset: the capture.
         gaussians: number of Gaussians that the scene grows to.
     """
-    recipe = replace(default(max_gaussians=gaussians), backend=backends.resolve("auto"))
+    recipe = default(max_gaussians=gaussians).on(backends.resolve("auto"))
     camera = dataset.train[0].camera
     size = camera.width, camera.height
     fewer = round(mean_count(min(len(dataset.points) or gaussians, gaussians), gaussians))

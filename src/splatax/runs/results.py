@@ -78,7 +78,7 @@ class Results:
         """The scene, without empty slots."""
         state = self.last
         gaussians = jax.tree.map(lambda leaf: jnp.array(leaf[: state.count]), state.train.gaussians)
-        return replace(gaussians, low_pass=self.recipe.low_pass)
+        return replace(gaussians, low_pass=self.recipe.drawing.low_pass)
 
     @property
     def refines_cameras(self) -> bool:
@@ -135,7 +135,7 @@ class Results:
                 for e in self.history.evaluations
             ],
             "judged_by": self.judge and {"run": str(self.judge.folder), "test": self.judge.metrics["test"]},
-            "protocol": protocol(self.recipe.background.rgb, self.dataset)
+            "protocol": protocol(self.recipe.drawing.background.rgb, self.dataset)
             | {"train_seconds": "wall time of all steps, compilation included, evaluation and pictures not"},
         }
 

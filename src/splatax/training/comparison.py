@@ -73,7 +73,7 @@ def compare_views(
     corrected = jax.vmap(recipe.camera_refinement, in_axes=(0, 0, None))
     cameras = corrected(corrections, views.camera, state.extent)
     appearances = _for_photos(recipe.appearance, state.appearance, views.source)
-    backgrounds = jax.vmap(recipe.background.sample)(jax.random.split(key, count))
+    backgrounds = jax.vmap(recipe.drawing.background.sample)(jax.random.split(key, count))
     appearances, backgrounds, cameras = jax.tree.map(own_views, (appearances, backgrounds, cameras))
 
     def draw(here):

@@ -124,7 +124,7 @@ def optimize(
         raise DatasetError("The capture has no photos to train on.")
     if recipe.steps < 1:
         raise ValueError(f"a recipe needs at least one step, not {recipe.steps}")
-    recipe = replace(recipe, backend=backends.resolve(recipe.backend))
+    recipe = recipe.on(backends.resolve(recipe.drawing.backend))
     if start is None:
         gaussians = recipe.initialization(dataset, recipe.sh.degree, recipe.seed)
         require_visible(gaussians, dataset)
@@ -206,7 +206,7 @@ def _steps(
                 faults=state.faults._replace(gaussians=state.faults.gaussians + broken),
             )
             state = stepper.placed(state)
-        yield Progress(step, total, loss, count, state, rows, stepper, recipe.low_pass)
+        yield Progress(step, total, loss, count, state, rows, stepper, recipe.drawing.low_pass)
         planned = pace(step)
         if planned is not None:
             total = schedule.total = planned

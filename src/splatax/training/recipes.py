@@ -50,6 +50,15 @@ class Objective:
 
 
 @dataclass(frozen=True)
+class Drawing:
+    """How the steps draw the scene that they compare with photos."""
+
+    background: Background = Solid()
+    low_pass: LowPass = Dilation()
+    backend: str | Kernels = "auto"
+
+
+@dataclass(frozen=True)
 class Recipe:
     """All settings of a training run. Hashable: it is static under `jit`.
 
@@ -66,15 +75,18 @@ class Recipe:
     camera_refinement: CameraRefinement = FixedCameras()
     resolution: ResolutionSchedule = Resolution()
     sh: ShSchedule = ShSchedule()
-    background: Background = Solid()
-    low_pass: LowPass = Dilation()
-    backend: str | Kernels = "auto"
+    drawing: Drawing = Drawing()
     seed: int = 0
+
+    def on(self, backend: str | Kernels) -> "Recipe":
+        """Returns the same recipe, drawn by another backend."""
+        return replace(self, drawing=replace(self.drawing, backend=backend))
 
     @property
     def renderer(self) -> Renderer:
         """Draws the scene as evaluation, reports and viewers show it."""
-        return Renderer(self.background.rgb, self.low_pass, self.backend)
+        drawing = self.drawing
+        return Renderer(drawing.background.rgb, drawing.low_pass, drawing.backend)
 
 
 def with_views(recipe: Recipe, views: int) -> Recipe:
@@ -148,7 +160,7 @@ def default(steps: int = 30_000, max_gaussians: int = 1_000_000, views: int = 1)
         ),
         resolution=Resolution(((steps // COARSE, 2),), smallest=100),
         sh=ShSchedule(every=max(steps // 20, 1)),
-        background=Random(),
+        drawing=Drawing(background=Random()),
     )
     return with_views(recipe, views)
 

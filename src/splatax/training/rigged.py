@@ -155,7 +155,7 @@ def optimize_rig(
     for view in dataset.train:
         if pose_of.get(view.name) not in poses:
             raise DatasetError(f"{view.name}: no pose is given for this photo. Add it to the poses.")
-    recipe = replace(recipe, backend=backends.resolve(recipe.backend))
+    recipe = recipe.on(backends.resolve(recipe.drawing.backend))
     names = tuple(poses)
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *poses.values())
     which = jnp.asarray([names.index(pose_of[view.name]) for view in dataset.train], jnp.int32)
@@ -168,7 +168,7 @@ def optimize_rig(
         state, loss = _step(state, batch, settings, recipe, learned)
         if refinement := schedule.refinement(step, recipe.density):
             state, count = _refined(state, count, refinement, dataset.extent, recipe, refine_key)
-        yield RigProgress(step, loss, count, state, rig, stacked, names, recipe.low_pass)
+        yield RigProgress(step, loss, count, state, rig, stacked, names, recipe.drawing.low_pass)
         if step >= recipe.steps:
             return
 
@@ -206,11 +206,11 @@ def _step(
     state: RigState, batch: Batch, settings: _Settings, recipe: Recipe, learned: Learned
 ) -> tuple[RigState, Float[Array, ""]]:
     background_key, noise_key = jax.random.split(jax.random.fold_in(settings.key, state.step))
-    background = recipe.background.sample(background_key)
-    kernels = backends.resolve(recipe.backend)
+    background = recipe.drawing.background.sample(background_key)
+    kernels = backends.resolve(recipe.drawing.backend)
     photo = photo_over(batch.photo, background)
     pose = settings.which[batch.source.view]
-    low_pass = filtered(recipe.low_pass, batch.divisor)
+    low_pass = filtered(recipe.drawing.low_pass, batch.divisor)
 
     def project_view(gaussians, logits, turns):
         rig = replace(settings.rig, indices=state.indices, weights=jax.nn.softmax(logits, axis=1))

@@ -77,7 +77,7 @@ def _train_step(
     state: TrainState, batch: Batch, learning_rates: LearningRates, sh_every: Int[Array, ""], recipe: Recipe
 ) -> tuple[TrainState, Float[Array, ""]]:
     background_key, noise_key = jax.random.split(jax.random.fold_in(state.key, state.step))
-    loss, splats, d = compare(state, batch, recipe, recipe.background.sample(background_key))
+    loss, splats, d = compare(state, batch, recipe, recipe.drawing.background.sample(background_key))
 
     # A step whose loss is not finite has zero gradients and zero learning rates, so nothing moves. Selecting
     # between the old and the new state instead would take a copy of all moments.
@@ -182,15 +182,15 @@ class Target(NamedTuple):
 
 def shown(gaussians: Gaussians, camera: Camera, recipe: Recipe, divisor: int) -> Shown:
     """Projects a scene, or a part of it, for a photo that is smaller by `divisor`."""
-    low_pass = filtered(recipe.low_pass, divisor)
-    splats = project(gaussians, camera, low_pass=low_pass, backend=backends.resolve(recipe.backend))
+    low_pass = filtered(recipe.drawing.low_pass, divisor)
+    splats = project(gaussians, camera, low_pass=low_pass, backend=backends.resolve(recipe.drawing.backend))
     channels = geometry.channels(recipe.objective.geometry.outputs, Seen(splats, gaussians, camera))
     return Shown(recipe.density.watch(splats), channels)
 
 
 def image_loss(view: Shown, appearance: Any, target: Target, recipe: Recipe) -> Float[Array, ""]:
     """Draws a view in the colours of its photo, and returns the loss."""
-    kernels, objective = backends.resolve(recipe.backend), recipe.objective
+    kernels, objective = backends.resolve(recipe.drawing.backend), recipe.objective
     sums, alpha = composite(view.splats, view.splats.colors, backend=kernels)
     image = over(recipe.appearance(appearance, sums, alpha), alpha, target.background)
     photo = photo_over(target.photo, target.background)

@@ -14,7 +14,7 @@ from splatax.training.backgrounds import Solid
 from splatax.training.capacity import bucket_for, pad
 from splatax.training.density.none import NoDensityControl
 from splatax.training.loop import Progress, RunState, first_state, optimize
-from splatax.training.recipes import Objective, Recipe, ShSchedule, default
+from splatax.training.recipes import Drawing, Objective, Recipe, ShSchedule, default
 from splatax.training.resolution import Resolution
 
 STEPS = 1000  # half as many lose 0.3 to 0.5 dB on the demo; see docs/formats.md
@@ -35,8 +35,7 @@ def tuning(gaussians: Gaussians, steps: int = STEPS, background: Solid = Solid()
         density=NoDensityControl(),
         resolution=Resolution(),
         sh=ShSchedule(degree=harmonics.degree_of(gaussians.sh.shape[1]), every=1),
-        background=background,
-        low_pass=gaussians.low_pass,
+        drawing=Drawing(background, gaussians.low_pass),
     )
 
 

@@ -1,10 +1,12 @@
 """Every test runs with shapes checked, and with JAX refusing silent promotions."""
 
 import atexit
+import gc
 import itertools
 import os
 import shutil
 import tempfile
+from importlib.metadata import version
 from pathlib import Path
 
 # XLA's compiler takes most of the time. It optimizes little here, which changes roundings but no rule that is
@@ -12,7 +14,10 @@ from pathlib import Path
 # what has been compiled. JAX reads these variables when it is imported; later processes inherit them.
 if "SPLATAX_OPTIMIZED" not in os.environ:
     little = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
+    if version("jaxlib").startswith("0.10."):  # XLA ends a process that names a flag it does not know
+        little += " --xla_cpu_use_fusion_emitters=false"
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {little}".strip()
+gc.set_threshold(200_000, 50, 100)  # tracing allocates much that lives on
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     os.environ["JAX_COMPILATION_CACHE_DIR"] = tempfile.mkdtemp(prefix="splatax-programs-")
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"

@@ -64,7 +64,10 @@ def refused(capsys, command, *arguments) -> str:
     return error
 
 
-@pytest.fixture(params=PRESETS)
+QUICK = ("default", "classic")  # they stand for the others, which `make slow` stops
+
+
+@pytest.fixture(params=[pytest.param(n, marks=[] if n in QUICK else pytest.mark.slow) for n in PRESETS])
 def recipe(request, monkeypatch):
     """The name of a recipe, which is shortened so that it refines between the stops."""
     short = shortened(request.param)

@@ -4,6 +4,7 @@ import pytest
 from enrolled import NAMES, available
 
 from splatax.backends.cpu import library
+from splatax.footprints import Unscented
 
 
 @pytest.fixture(params=NAMES)
@@ -13,12 +14,28 @@ def backend(request):
 
 
 def pytest_collection_modifyitems(items):
-    """Marks what runs on a build of the native library that this machine would not choose by itself."""
+    """Marks what runs on a build of the native library that this machine would not choose by itself, and
+    what repeats, with long compilations, what other cases of a contract have shown."""
     best = None if library.why_unavailable(None) else f"cpu-{library.best_instructions()}"
     others = {f"cpu-{instructions}" for instructions in library.INSTRUCTIONS} - {best}
     for item in items:
-        parameters = (
-            item.callspec.params.values() if isinstance(item, pytest.Function) and "[" in item.name else ()
-        )
-        if any(value in others for value in parameters if isinstance(value, str)):
+        if not (isinstance(item, pytest.Function) and "[" in item.name):
+            continue
+        parameters = item.callspec.params
+        if any(value in others for value in parameters.values() if isinstance(value, str)):
             item.add_marker(pytest.mark.other_build)
+        if repeats(item.originalname, item.module.__name__, parameters):
+            item.add_marker(pytest.mark.slow)
+
+
+def repeats(name, module, parameters):
+    """Whether `make slow` suffices for a case: the oracle under transformations of JAX; the portable backend
+    with more widths, all of which one program serves; the unscented transform through each lens."""
+    backend = next((value for value in parameters.values() if value in NAMES), None)
+    if backend == "reference":
+        return module.endswith(("test_derivatives", "test_transformations", "test_outputs"))
+    if backend == "xla" and "channels" in parameters:
+        return parameters["channels"] not in (5, 17)
+    if name == "test_every_parameter_of_the_camera_matches_finite_differences":
+        return parameters["method"] == Unscented() and parameters["lens"] != "opencv"
+    return False

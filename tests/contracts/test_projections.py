@@ -126,7 +126,7 @@ def test_a_number_that_is_not_finite_culls_its_gaussian_and_changes_no_gradient(
         assert_allclose(a[count:], b, atol=1e-5 * max(np.abs(b).max(), 1))
 
 
-@pytest.mark.parametrize("low_pass", [Dilation(), Antialiasing()])
+@pytest.mark.parametrize("low_pass", [Dilation(), pytest.param(Antialiasing(), marks=pytest.mark.slow)])
 def test_a_picture_of_a_scene_with_broken_gaussians_has_finite_gradients(any_backend, low_pass):
     sound = random_gaussians(n=40, degree=1)
     broken = broken_copies(random_gaussians(n=1, degree=1, spread=0.1))

@@ -68,6 +68,7 @@ KNOWN = replace(
 )
 
 
+@pytest.mark.slow
 def test_turned_cameras_come_back():
     views = capture().train
     wrong = perturbed(views, 1 / 45)  # a pixel
@@ -138,6 +139,7 @@ def test_refinement_recovers_what_cameras_wrong_by_a_pixel_cost(data):
     assert regained - lost > 0.6 * (right - lost)
 
 
+@pytest.mark.slow
 def test_distortion_that_a_capture_lacks_is_found():
     """Photos of a lens with k1 and k2, given as those of a pinhole."""
     lens = opencv(-0.12, 0.04)

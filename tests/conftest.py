@@ -17,7 +17,6 @@ if "SPLATAX_OPTIMIZED" not in os.environ:
     if version("jaxlib").startswith("0.10."):  # XLA ends a process that names a flag it does not know
         little += " --xla_cpu_use_fusion_emitters=false"
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {little}".strip()
-gc.set_threshold(200_000, 50, 100)  # tracing allocates much that lives on
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     os.environ["JAX_COMPILATION_CACHE_DIR"] = tempfile.mkdtemp(prefix="splatax-programs-")
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
@@ -27,6 +26,7 @@ import jax
 import pytest
 from jaxtyping import install_import_hook
 
+gc.set_threshold(200_000, 50, 100)  # tracing allocates much that lives on
 _register = jax.tree_util.register_dataclass
 
 

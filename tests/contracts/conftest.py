@@ -31,7 +31,8 @@ def pytest_collection_modifyitems(items):
 def repeats(name, module, parameters):
     """Whether `make slow` suffices for a case: the oracle under transformations of JAX; the portable backend
     with more widths, all of which one program serves; the unscented transform through each lens."""
-    backend = next((value for value in parameters.values() if value in NAMES), None)
+    named = (value for value in parameters.values() if isinstance(value, str) and value in NAMES)
+    backend = next(named, None)
     if backend == "reference":
         return module.endswith(("test_derivatives", "test_transformations", "test_outputs"))
     if backend == "xla" and "channels" in parameters:

@@ -11,30 +11,30 @@ from scipy.spatial import cKDTree
 
 import splatax as sx
 from scenes import random_gaussians
+from splatax import editing
 from splatax.io import formats
 from splatax.transforms import Similarity, half_turn
 
 pytestmark = pytest.mark.slow
 
-PACKAGE = "@playcanvas/splat-transform@2"
+PACKAGE = "@playcanvas/splat-transform"
 THEY_READ = [".ply", ".compressed.ply", ".splat", ".spz", ".sog"]
 THEY_WRITE = [".ply", ".compressed.ply", ".spz", ".sog", ".glb"]
 ROUNDED_DOWN = {".sog": 2.0}  # they cut where we round: twice the error
 
 
-@pytest.fixture(scope="module")
-def transform(tmp_path_factory):
-    """A function that converts one file to another."""
+def installed(folder, version):
+    """A function that converts one file to another, by a major version of the package."""
     if shutil.which("npm") is None or shutil.which("node") is None:
         pytest.skip("no node")
-    folder = tmp_path_factory.mktemp("npm")
-    command = ["npm", "install", "--silent", "--no-audit", "--no-fund", "--prefix", str(folder), PACKAGE]
+    package = f"{PACKAGE}@{version}"
+    command = ["npm", "install", "--silent", "--no-audit", "--no-fund", "--prefix", str(folder), package]
     try:
-        installed = subprocess.run(command, capture_output=True, text=True, timeout=120)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     except subprocess.TimeoutExpired:
         pytest.skip("npm has no network")
-    if installed.returncode:
-        pytest.skip(f"npm cannot install {PACKAGE}: {installed.stderr[-200:]}")
+    if done.returncode:
+        pytest.skip(f"npm cannot install {package}: {done.stderr[-200:]}")
     program = folder / "node_modules" / "@playcanvas" / "splat-transform" / "bin" / "cli.mjs"
 
     def run(source, target, *options, actions=()):
@@ -45,6 +45,17 @@ def transform(tmp_path_factory):
         return sx.load(target)
 
     return run
+
+
+@pytest.fixture(scope="module")
+def transform(tmp_path_factory):
+    return installed(tmp_path_factory.mktemp("npm"), 2)
+
+
+@pytest.fixture(scope="module")
+def streaming(tmp_path_factory):
+    """Version 3, the first to read streamed SOG."""
+    return installed(tmp_path_factory.mktemp("npm3"), 3)
 
 
 def scene(degree=3):
@@ -95,6 +106,19 @@ def test_they_read_both_versions_of_spz_and_we_theirs(transform, tmp_path, versi
     sx.save(tmp_path / "ours.ply", original)
     theirs = transform(tmp_path / "ours.ply", tmp_path / "theirs.spz", "--spz-version", str(version))
     assert_same_scene(theirs, original, ".spz")
+
+
+def test_they_read_our_levels_of_detail_and_we_theirs(streaming, tmp_path):
+    original = scene()
+    (tmp_path / "ours").mkdir()
+    ours = tmp_path / "ours" / "lod-meta.json"
+    sx.save(ours, original, coarser=editing.levels_of(original, 3)[1:])
+    finest = streaming(ours, tmp_path / "finest.ply", "--select-lod", "0")
+    assert_same_scene(finest, original, ".sog")
+    assert len(streaming(ours, tmp_path / "coarse.ply", "--select-lod", "2")) == 62
+    sx.save(tmp_path / "ours.ply", sx.editing.reduce_degree(original, 0))
+    theirs = streaming(tmp_path / "ours.ply", tmp_path / "theirs" / "lod-meta.json")
+    assert_same_scene(theirs, sx.editing.reduce_degree(original, 0), ".sog", 2.0)
 
 
 def test_scenes_that_we_turn_are_those_that_they_turn(transform, tmp_path):

@@ -1,5 +1,6 @@
 """`splatax export`: a scene in another format, optionally cleaned, cropped, moved or simplified."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -29,6 +30,7 @@ from splatax.cli.page import is_page, write_page
 from splatax.errors import InputError
 from splatax.io import formats
 from splatax.io.datasets.photos import counted
+from splatax.io.formats import sog_streamed
 from splatax.training.backgrounds import Solid
 from splatax.training.tuning import STEPS, tune, tuning
 from splatax.transforms import Similarity
@@ -77,6 +79,9 @@ class Export:
     """Scale by this factor."""
     move: Annotated[Triple, shown_as("X Y Z")] = (0.0, 0.0, 0.0)
     """Translate by x y z (applied last)."""
+    levels: Annotated[int | None, shown_as("N")] = None
+    """Number of levels of detail of a lod-meta.json, each with a quarter of the Gaussians of the one before.
+    By default as many as have more than 20,000 Gaussians. With --scene, the PSNR of each is measured."""
     spz_version: Annotated[Literal[3, 4] | None, shown_as()] = None
     """Version of a .spz file. 3, the default, is read by most software; 4 loads faster."""
     title: TextOption = None
@@ -111,9 +116,12 @@ class Export:
             write_page(self.out, replace(model, gaussians=edited), cameras, self.title, self.background)
             say(f"loses: {web.LOSES}")
             return
-        self._save(model, edited)
+        coarser = editing.levels_of(edited, self.levels)[1:] if self._streamed else ()
+        self._save(model, edited, coarser)
         if dataset:
-            self._measure(model, dataset, place)
+            self._measure(model, dataset, place, coarser)
+        elif coarser:
+            say("PSNR of the levels: measured with --scene CAPTURE")
 
     def _check(self) -> None:
         """Raises InputError for options that cannot work, before anything is computed."""
@@ -137,17 +145,25 @@ class Export:
             raise InputError(
                 f"--simplify: a fraction between 0 and 1, or a whole number from 1, not {self.simplify}."
             )
+        if self.levels is not None and (self.levels < 1 or is_page(self.out) or not self._streamed):
+            raise InputError("--levels: a whole number from 1, for a file that is named lod-meta.json.")
         if self.tune < 0:
             raise InputError(f"--tune: a whole number of steps from 0, not {self.tune}.")
         if not (0 < self.scale < np.inf and np.isfinite([*self.rotate, *self.move]).all()):
             raise InputError("--scale, --rotate, --move: must be finite numbers, and the scale above zero.")
 
-    def _save(self, model: Model, edited: sx.Gaussians) -> None:
+    @property
+    def _streamed(self) -> bool:
+        return formats.format_of(self.out) is sog_streamed
+
+    def _save(self, model: Model, edited: sx.Gaussians, coarser: Sequence[sx.Gaussians]) -> None:
         """Writes a splat file. Prints its size and what is lost."""
         options: dict[str, Any] = {"version": self.spz_version} if self.spz_version else {}
+        if self._streamed:
+            options["coarser"] = coarser
         self.out.parent.mkdir(parents=True, exist_ok=True)
         count = sx.save(self.out, edited, **options)
-        before, after = model.path.stat().st_size, self.out.stat().st_size
+        before, after = model.path.stat().st_size, formats.size_of(self.out)
         share = f"{before / after:.1f} x smaller" if after <= before else f"{after / before:.1f} x larger"
         say(f"{self.out}: {count:,} Gaussians, {after / 1e6:.2f} MB ({share})")
         say(f"loses: {formats.format_of(self.out).LOSES}")
@@ -203,7 +219,9 @@ class Export:
             place = place.after(editing.level([view.camera for view in dataset.views]))
         return place
 
-    def _measure(self, model: Model, dataset: sx.Dataset, place: Similarity | None) -> None:
+    def _measure(
+        self, model: Model, dataset: sx.Dataset, place: Similarity | None, coarser: Sequence[sx.Gaussians]
+    ) -> None:
         views = views_of(dataset, "test" if dataset.test else "train", self.scene or Path())
         background = background_of(model.options)
         renderer = sx.Renderer(background, backend=resolve_backend(self.backend))
@@ -213,6 +231,9 @@ class Export:
         )
         kind = "test" if dataset.test else "training"
         say(f"PSNR of {len(views)} {kind} views: {before.psnr:.3f} dB before, {after.psnr:.3f} dB after")
+        for level, gaussians in enumerate(coarser, start=1):
+            scores = sx.evaluate(gaussians, moved(views, place), renderer=renderer)
+            say(f"level {level}: {len(gaussians):,} Gaussians, {scores.psnr:.3f} dB")
 
 
 def moved(views: tuple[sx.View, ...], place: Similarity | None) -> tuple[sx.View, ...]:

@@ -23,7 +23,18 @@ import numpy as np
 
 from splatax.errors import FormatError
 from splatax.gaussians import Gaussians, broken, checked
-from splatax.io.formats import compressed_ply, glb, gsplat_pt, ksplat, ply, sog, sog_folder, splat, spz
+from splatax.io.formats import (
+    compressed_ply,
+    glb,
+    gsplat_pt,
+    ksplat,
+    ply,
+    sog,
+    sog_folder,
+    sog_streamed,
+    splat,
+    spz,
+)
 from splatax.io.formats.marks import MARKS, mark
 from splatax.io.formats.marks import MIP as MIP
 from splatax.io.formats.untrusted import structured
@@ -37,6 +48,7 @@ FORMATS: dict[str, ModuleType] = {
     ".spz": spz,
     ".sog": sog,
     "meta.json": sog_folder,
+    "lod-meta.json": sog_streamed,
     ".glb": glb,
     ".ksplat": ksplat,
     ".pt": gsplat_pt,
@@ -128,6 +140,12 @@ def format_of(path: Path) -> ModuleType:
             f"and writes {', '.join(suffixes('save'))}."
         )
     return FORMATS[max(fitting, key=len)]
+
+
+def size_of(path: Path) -> int:
+    """Returns the number of bytes of a splat file, with those of the units of a streamed scene."""
+    units = sog_streamed.units(path) if format_of(path) is sog_streamed else []
+    return sum(file.stat().st_size for file in (path, *(file for unit in units for file in unit.iterdir())))
 
 
 def suffixes(ability: str) -> list[str]:

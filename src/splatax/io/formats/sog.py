@@ -16,6 +16,7 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -148,18 +149,27 @@ def save(path: Path, gaussians: Gaussians, *, comments: tuple[str, ...] = ()) ->
     if len(gaussians) == 0:
         raise FormatError(f"{path}: a SOG file needs at least one Gaussian.")
     order = morton.order(np.asarray(gaussians.means))
-    logs = np.asarray(gaussians.means, np.float64)[order]
+    archive = io.BytesIO()
+    with zipfile.ZipFile(archive, "w") as zipped:  # stored, because WebP does not compress further
+        for name, contents in files_of(jax.tree.map(lambda leaf: leaf[order], gaussians), comments).items():
+            zipped.writestr(zipfile.ZipInfo(name), contents)
+    write_whole(path, archive.getvalue())
+
+
+def files_of(gaussians: Gaussians, comments: tuple[str, ...]) -> dict[str, bytes]:
+    """Returns the files of a scene by name, meta.json first, with its Gaussians in their order."""
+    logs = np.asarray(gaussians.means, np.float64)
     logs = np.sign(logs) * np.log1p(np.abs(logs))
     mins, maxs = logs.min(axis=0), logs.max(axis=0)
     words = np.rint((logs - mins) / np.where(maxs > mins, maxs - mins, 1) * 65535).astype(np.uint16)
-    largest, others = packing.smallest_three(packing.unit(np.asarray(gaussians.quats)[order]))
+    largest, others = packing.smallest_three(packing.unit(np.asarray(gaussians.quats)))
     rotations = packing.levels(others / packing.SQRT_HALF / 2 + np.float32(0.5), 255)
-    log_scales = packing.finite_log_scales(np.asarray(gaussians.log_scales)[order]).ravel()
+    log_scales = packing.finite_log_scales(np.asarray(gaussians.log_scales)).ravel()
     # Errors are more visible in larger Gaussians.
     seen = np.exp(log_scales.astype(np.float64) - log_scales.max())
     scales, scale_of = clusters.codebook(log_scales, CODES, weights=seen)
-    colors, color_of = clusters.codebook(np.asarray(gaussians.sh[:, 0])[order].ravel(), CODES)
-    opacities = packing.opacity_levels(np.asarray(gaussians.opacity_logits)[order])
+    colors, color_of = clusters.codebook(np.asarray(gaussians.sh[:, 0]).ravel(), CODES)
+    opacities = packing.opacity_levels(np.asarray(gaussians.opacity_logits))
     textures = {
         "means_l.webp": words & 255,
         "means_u.webp": words >> 8,
@@ -180,13 +190,9 @@ def save(path: Path, gaussians: Gaussians, *, comments: tuple[str, ...] = ()) ->
     }
     files = {name: _webp(_square(values)) for name, values in textures.items()}
     if gaussians.sh_degree > 0:
-        meta["shN"], palette = _save_palette(np.asarray(gaussians.sh[:, 1:])[order])
+        meta["shN"], palette = _save_palette(np.asarray(gaussians.sh[:, 1:]))
         files |= palette
-    archive = io.BytesIO()
-    with zipfile.ZipFile(archive, "w") as zipped:  # stored, because WebP does not compress further
-        for name, contents in {META: json.dumps(meta).encode(), **files}.items():
-            zipped.writestr(zipfile.ZipInfo(name), contents)
-    write_whole(path, archive.getvalue())
+    return {META: json.dumps(meta).encode(), **files}
 
 
 def _codes(part: dict[str, Any]) -> Float[np.ndarray, " 256"]:

@@ -1,0 +1,112 @@
+"""Levels of detail: scenes of fewer Gaussians, each of which stands for several neighbours.
+
+A pair of neighbours becomes one Gaussian with the same total weight, mean and covariance (moment matching),
+as in hierarchies of Gaussians (Kerbl et al. 2024, section 4.1). Pairs that look alike and lie close to each
+other go first.
+"""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from splatax.gaussians import Gaussians
+
+NEIGHBOURS = 6
+SMALLEST = 20_000  # Gaussians; below, another level saves nothing
+SHARE = 0.25  # of the Gaussians of a level are in the next
+COLORS = 4.0  # weight of a difference of colours, beside one of places in units of size
+
+
+def levels_of(gaussians: Gaussians, count: int | None = None) -> tuple[Gaussians, ...]:
+    """Returns a scene and coarser ones, each with a quarter of the Gaussians of the one before.
+
+    Args:
+        gaussians: the scene; level 0.
+        count: number of levels; None for as many as have more than 20,000 Gaussians, and level 0.
+    """
+    levels = [gaussians]
+    while len(levels) < count if count else SHARE * len(levels[-1]) > SMALLEST:
+        levels.append(coarser(levels[-1], max(round(SHARE * len(levels[-1])), 1)))
+    return tuple(levels)
+
+
+def coarser(gaussians: Gaussians, count: int) -> Gaussians:
+    """Returns a scene of `count` Gaussians that looks similar from afar.
+
+    Args:
+        gaussians: the scene, without empty slots.
+        count: number of Gaussians to keep; the scene is returned as it is if it has no more.
+    """
+    while len(gaussians) > count:
+        first, second = _pairs(gaussians, len(gaussians) - count)
+        gaussians = _merged(gaussians, first, second)
+    return gaussians
+
+
+def _weights(gaussians: Gaussians) -> Float[np.ndarray, " n"]:
+    """Returns opacity times area of the largest cross section: about what a Gaussian adds to pictures."""
+    two_largest = np.sort(np.asarray(gaussians.log_scales, np.float64), axis=1)[:, 1:].sum(axis=1)
+    return np.asarray(gaussians.opacities, np.float64) * np.exp(np.minimum(two_largest, 80)) + 1e-30
+
+
+def _pairs(gaussians: Gaussians, most: int) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
+    """Returns the rows of disjoint pairs, at most so many: neighbours that are each other's best partner."""
+    means = np.asarray(gaussians.means, np.float64)
+    size = np.exp(np.minimum(np.asarray(gaussians.log_scales, np.float64), 40)).max(axis=1)
+    colors = np.asarray(gaussians.sh[:, 0], np.float64)
+    weights = _weights(gaussians)
+    others = min(NEIGHBOURS, len(means) - 1)
+    _, near = cKDTree(means).query(means, k=others + 1)
+    rows = np.arange(len(means))[:, None]
+    near = np.where(near[:, 1:] == rows, near[:, :1], near[:, 1:])  # where places are equal, not itself
+    apart = np.sum((means[near] - means[:, None]) ** 2, axis=-1) / (size[near] ** 2 + size[:, None] ** 2)
+    unlike = COLORS * np.sum((colors[near] - colors[:, None]) ** 2, axis=-1)
+    costs = np.minimum(weights[near], weights[:, None]) * (apart + unlike + 0.01)
+    best = np.argmin(costs, axis=1)
+    partner, cost = near[rows[:, 0], best], costs[rows[:, 0], best]
+    mutual = np.flatnonzero((partner[partner] == rows[:, 0]) & (rows[:, 0] < partner))
+    if len(mutual) == 0:  # ties in a circle
+        mutual = np.array([np.argmin(cost)])
+    chosen = mutual[np.argsort(cost[mutual], kind="stable")[:most]]
+    return chosen, partner[chosen]
+
+
+def _merged(gaussians: Gaussians, first: Int[np.ndarray, " p"], second: Int[np.ndarray, " p"]) -> Gaussians:
+    """Returns the scene with each pair of rows replaced by one Gaussian, in the place of the first."""
+    weights = _weights(gaussians)
+    share = (weights[first] / (weights[first] + weights[second]))[:, None]
+
+    def mean(values: Float[np.ndarray, "n ..."]) -> Float[np.ndarray, "p ..."]:
+        by = share.reshape(-1, *[1] * (values.ndim - 1))
+        return by * values[first] + (1 - by) * values[second]
+
+    means, covariances = (np.asarray(each, np.float64) for each in (gaussians.means, gaussians.covariances))
+    middle = mean(means)
+    covariance = mean(covariances)
+    for rows, by in ((first, share), (second, 1 - share)):
+        away = means[rows] - middle
+        covariance += by[..., None] * away[:, :, None] * away[:, None, :]
+    variances, axes = np.linalg.eigh(covariance)
+    axes[np.linalg.det(axes) < 0, :, 0] *= -1
+    scales = np.sqrt(np.maximum(variances, 1e-24))
+    area = scales[:, 1] * scales[:, 2]
+    opacities = np.clip((weights[first] + weights[second]) / np.maximum(area, 1e-30), 1e-4, 0.9999)
+    merged = {
+        "means": middle,
+        "quats": Rotation.from_matrix(axes).as_quat(scalar_first=True),
+        "log_scales": np.log(scales),
+        "opacity_logits": np.log(opacities) - np.log1p(-opacities),
+        "sh": mean(np.asarray(gaussians.sh, np.float64)),
+    }
+    kept = np.ones(len(means), bool)
+    kept[second] = False
+    changed = {}
+    for name, values in merged.items():
+        column = np.array(getattr(gaussians, name))
+        column[first] = values
+        changed[name] = jnp.asarray(column[kept])
+    return replace(gaussians, **changed)

@@ -5,12 +5,12 @@ Results do not depend on the number of threads. Single precision only.
 
 from functools import partial
 
-from splatax.backends import fused_loss, pinholes
+from splatax.backends import fused_loss, projection_kernels
 from splatax.backends.cpu import library
 from splatax.backends.cpu.composite import MAX_PAIRS, composite, select
 from splatax.backends.cpu.library import ALL_THREADS, Build
 from splatax.backends.cpu.photometric import with_gradient
-from splatax.backends.cpu.projection import NativeProjection
+from splatax.backends.cpu.projection import projections
 from splatax.backends.protocol import Kernels
 
 
@@ -27,7 +27,7 @@ def kernels(
     build = Build(instructions, threads)
     return Kernels(
         name="cpu" if instructions is None else f"cpu-{instructions}",
-        project=partial(pinholes.project, kernel=NativeProjection(build)),
+        project=partial(projection_kernels.project, kernels=projections(build)),
         composite=partial(composite, build=build, max_pairs=max_pairs),
         select=partial(select, build=build, max_pairs=max_pairs),
         photometric=partial(fused_loss.photometric, kernel=partial(with_gradient, build=build)),

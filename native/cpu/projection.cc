@@ -48,6 +48,10 @@ void project_lanes(const Gaussians& gaussians, const View& view, const Projected
 
 }  // namespace
 
+void project_rows(const Gaussians& gaussians, const View& view, const Projected& splats) {
+  project_lanes(gaussians, view, splats, 0, gaussians.count);
+}
+
 void project(int views, Workers& workers, const std::function<ProjectedView(int)>& view_of) {
   if (views == 0) return;
   const int total = view_of(0).gaussians.count, parts = parts_of(total);

@@ -57,6 +57,12 @@ struct PulledBackView {
 // Projects to all views of a batch. All have the same number of Gaussians.
 void project(int views, Workers& workers, const std::function<ProjectedView(int)>& view_of);
 
+// Projects up to sixteen Gaussians to one view.
+void project_rows(const Gaussians& gaussians, const View& view, const Projected& splats);
+
+// Pulls back the gradient of the splats of one view, and adds the camera's to `camera`.
+void pull_back_rows(const PulledBackView& job, double camera[CAMERA_FIELDS]);
+
 // `summed`: the views share one scene, and its gradients are summed over them.
 void project_gradient(int views, bool summed, Workers& workers, const std::function<PulledBackView(int)>& view_of);
 

@@ -222,6 +222,15 @@ class PartSum {
 
 }  // namespace
 
+void pull_back_rows(const PulledBackView& job, double camera[CAMERA_FIELDS]) {
+  CameraGradient sums;
+  for (int first = 0; first < job.gaussians.count; first += LANES) {
+    PullBack({job.gaussians, job.view, job.cotangents, job.gradients}, first, std::min(LANES, job.gaussians.count - first))
+        .run(sums);
+  }
+  sums.move_to(camera);
+}
+
 void project_gradient(int views, bool summed, Workers& workers, const std::function<PulledBackView(int)>& view_of) {
   if (views == 0) return;
   const PulledBackView one = view_of(0);

@@ -1,0 +1,134 @@
+#include "visible.h"
+
+#include <algorithm>
+
+#include "projection_lanes.h"
+
+namespace splatax {
+namespace {
+
+constexpr int TOGETHER = 256;  // rows that a thread projects at a time
+
+// Upper bound of the squared norm of a matrix M, row by row: the largest sum over a row of |M^T M|.
+float squared_norm(const float* matrix) {
+  double largest = 0;
+  for (int i = 0; i < 3; ++i) {
+    double sum = 0;
+    for (int j = 0; j < 3; ++j) {
+      double product = 0;
+      for (int k = 0; k < 3; ++k) product += static_cast<double>(matrix[3 * k + i]) * matrix[3 * k + j];
+      sum += std::abs(product);
+    }
+    largest = std::max(largest, sum);
+  }
+  return static_cast<float>(largest);
+}
+
+// The half side of a splat's box is sqrt(reach (|f|^2 + v)) with f = S R^T W^T J^T, so at most
+// sqrt(reach v + spread |W|^2 |J|^2) for either row of J.
+class Frustum {
+ public:
+  Frustum(const View& view) : view_(view), norm_(broadcast(1.001f * squared_norm(view.camera + ROTATION))) {
+    const float* camera = view.camera;
+    for (int k = 0; k < 3; ++k) {
+      const float* column = camera + ROTATION + k;
+      rotation_.column[k] = {broadcast(column[0]), broadcast(column[3]), broadcast(column[6])};
+    }
+    const float* t = camera + TRANSLATION;
+    translation_ = {broadcast(t[0]), broadcast(t[1]), broadcast(t[2])};
+  }
+
+  // Bits of the Gaussians, of sixteen, that may reach into the image. NaN in a bound does not cull.
+  SPLATAX_INLINE uint32_t may_see(const Bounds& bounds, int first) const {
+    const Vector mean{load(bounds.x.get() + first), load(bounds.y.get() + first), load(bounds.z.get() + first)};
+    const Lanes reach = load(bounds.reach.get() + first), spread = load(bounds.spread.get() + first);
+    const Vector seen = rotation_ * mean + translation_;
+    const Mask candidate = (broadcast(NEAR) < seen.z) & (broadcast(0) <= reach);
+    if (!any(candidate)) return 0;
+    const Lanes inverse_z = broadcast(1) / seen.z;
+    const float* camera = view_.camera;
+    const Mask beside_x = outside(seen.x * inverse_z, inverse_z, camera[FX], camera[CX], view_.width, reach, spread);
+    const Mask beside_y = outside(seen.y * inverse_z, inverse_z, camera[FY], camera[CY], view_.height, reach, spread);
+    return bits(and_not(and_not(candidate, beside_x), beside_y));
+  }
+
+ private:
+  SPLATAX_INLINE Mask outside(Lanes slope, Lanes inverse_z, float focal, float centre, int size, Lanes reach,
+                              Lanes spread) const {
+    const Lanes f = broadcast(focal), c = broadcast(centre), k = f * inverse_z;
+    const Lanes tilt = clipped(slope, c, f, size).value, middle = multiply_add(f, slope, c);
+    const Lanes widened = multiply_add(tilt, tilt, broadcast(1)) * (k * k) * norm_;
+    const Lanes half = sqrt(multiply_add(spread, widened, reach * broadcast(view_.variance)));
+    const Lanes margin = multiply_add(broadcast(1e-5f), absolute(middle), multiply_add(broadcast(1.001f), half, broadcast(0.05f)));
+    // Beside the image by more than the margin: the distance to its middle is what decides.
+    const Lanes beyond = absolute(middle - broadcast(0.5f * size)) - broadcast(0.5f * size);
+    return margin < beyond;
+  }
+
+  const View& view_;
+  Lanes norm_;
+  Matrix rotation_;
+  Vector translation_;
+};
+
+}  // namespace
+
+void Bounds::fill(const Gaussians& gaussians, Workers& workers) {
+  const int total = gaussians.count, parts = parts_of(total);
+  const size_t padded = static_cast<size_t>(total) + LANES;
+  float* to[] = {x.at_least(padded), y.at_least(padded), z.at_least(padded), reach.at_least(padded), spread.at_least(padded)};
+  workers.each(parts, [&](int part) {
+    each_lanes(part, total, [&](int first, int count) {
+      const Vector mean = read_vectors(gaussians.means + 3 * static_cast<size_t>(first), count);
+      const Vector log_scale = read_vectors(gaussians.log_scales + 3 * static_cast<size_t>(first), count);
+      const Lanes logit = read_numbers(gaussians.opacity_logits + first, count);
+      const Lanes widest = max(max(log_scale.x, log_scale.y), log_scale.z);
+      const Lanes scale = exp2(LOG2_E * max(min(widest, broadcast(MAX_LOG_SCALE)), broadcast(-60)));
+      const Lanes decay = exp2(max(min(-LOG2_E * logit, broadcast(120)), broadcast(-120)));
+      const Lanes ratio = broadcast(1.0001f / MIN_ALPHA) / (decay + 1);
+      alignas(64) float reaches[LANES], ratios[LANES];
+      store(ratios, ratio);
+      for (int lane = 0; lane < LANES; ++lane) {
+        reaches[lane] = lane < count && ratios[lane] >= 1 ? 2 * std::log(ratios[lane]) : -1;
+      }
+      const Lanes reach = load(reaches);
+      const Lanes columns[] = {mean.x, mean.y, mean.z, reach, reach * scale * scale};
+      for (int k = 0; k < 5; ++k) store(to[k] + first, columns[k]);
+    });
+  });
+}
+
+void Visible::collect(const Gaussians& gaussians, const Bounds& bounds, const View& view, Workers& workers) {
+  const int total = gaussians.count, parts = parts_of(total);
+  int32_t* all = rows.at_least(total);
+  int32_t* found = found_.at_least(parts);
+  const Frustum frustum(view);
+  workers.each(parts, [&](int part) {
+    int32_t* next = all + part * PART;
+    each_lanes(part, total, [&](int first, int) {
+      for (uint32_t seen = frustum.may_see(bounds, first); seen; seen &= seen - 1) *next++ = first + __builtin_ctz(seen);
+    });
+    found[part] = static_cast<int32_t>(next - (all + part * PART));
+  });
+  count = 0;
+  for (int part = 0; part < parts; ++part) {
+    std::copy_n(all + part * PART, found[part], all + count);
+    count += found[part];
+  }
+  const Projected to{means2d.at_least(2 * static_cast<size_t>(count)), sqrt_conics.at_least(3 * static_cast<size_t>(count)),
+                     depths.at_least(count), extents.at_least(2 * static_cast<size_t>(count)),
+                     colors.at_least(3 * static_cast<size_t>(count)), opacities.at_least(count)};
+  workers.each((count + TOGETHER - 1) / TOGETHER, [&](int task) {
+    const int end = std::min((task + 1) * TOGETHER, count);
+    Gathered<LANES> own;
+    for (size_t first = static_cast<size_t>(task) * TOGETHER; first < static_cast<size_t>(end); first += LANES) {
+      const int number = std::min<int>(LANES, end - static_cast<int>(first));
+      own.gather(gaussians, all + first, number);
+      project_rows(own.gaussians(number, gaussians.coefficients), view,
+                   {to.means2d + 2 * first, to.sqrt_conics + 3 * first, to.depths + first, to.extents + 2 * first,
+                    to.colors + 3 * first, to.opacities + first});
+    }
+  });
+}
+
+}  // namespace splatax

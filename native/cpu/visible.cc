@@ -28,7 +28,7 @@ float squared_norm(const float* matrix) {
 // sqrt(reach v + spread |W|^2 |J|^2) for either row of J.
 class Frustum {
  public:
-  Frustum(const View& view) : view_(view), norm_(broadcast(1.001f * squared_norm(view.camera + ROTATION))) {
+  Frustum(const View& view) : view_(view), norm_(broadcast(1.002f * squared_norm(view.camera + ROTATION))) {
     const float* camera = view.camera;
     for (int k = 0; k < 3; ++k) {
       const float* column = camera + ROTATION + k;
@@ -58,11 +58,11 @@ class Frustum {
     const Lanes f = broadcast(focal), c = broadcast(centre), k = f * inverse_z;
     const Lanes tilt = clipped(slope, c, f, size).value, middle = multiply_add(f, slope, c);
     const Lanes widened = multiply_add(tilt, tilt, broadcast(1)) * (k * k) * norm_;
-    const Lanes half = sqrt(multiply_add(spread, widened, reach * broadcast(view_.variance)));
-    const Lanes margin = multiply_add(broadcast(1e-5f), absolute(middle), multiply_add(broadcast(1.001f), half, broadcast(0.05f)));
-    // Beside the image by more than the margin: the distance to its middle is what decides.
-    const Lanes beyond = absolute(middle - broadcast(0.5f * size)) - broadcast(0.5f * size);
-    return margin < beyond;
+    const Lanes squared_half = multiply_add(spread, widened, reach * broadcast(1.002f * view_.variance));
+    // The distance of the splat's middle from the image, less a margin for rounding.
+    const Lanes apart = absolute(middle - broadcast(0.5f * size)) -
+                        multiply_add(broadcast(1e-5f), absolute(middle), broadcast(0.5f * size + 0.05f));
+    return (broadcast(0) < apart) & (squared_half < apart * apart);
   }
 
   const View& view_;
@@ -123,6 +123,8 @@ void Visible::collect(const Gaussians& gaussians, const Bounds& bounds, const Vi
     Gathered<LANES> own;
     for (size_t first = static_cast<size_t>(task) * TOGETHER; first < static_cast<size_t>(end); first += LANES) {
       const int number = std::min<int>(LANES, end - static_cast<int>(first));
+      const int next = std::clamp<int>(count - static_cast<int>(first) - LANES, 0, LANES);
+      own.prefetch(gaussians, all + first + LANES, next);
       own.gather(gaussians, all + first, number);
       project_rows(own.gaussians(number, gaussians.coefficients), view,
                    {to.means2d + 2 * first, to.sqrt_conics + 3 * first, to.depths + first, to.extents + 2 * first,

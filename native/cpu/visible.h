@@ -59,6 +59,18 @@ struct Gathered {
       std::copy_n(from.sh + numbers * row, numbers, sh + numbers * i);
     }
   }
+  // Asks for the rows to be brought into the caches, without waiting for them.
+  static void prefetch(const Gaussians& from, const int32_t* rows, int count) {
+    constexpr size_t LINE = 16;  // floats
+    const size_t numbers = 3 * static_cast<size_t>(from.coefficients);
+    for (int i = 0; i < count; ++i) {
+      const size_t row = rows[i];
+      __builtin_prefetch(from.means + 3 * row), __builtin_prefetch(from.quats + 4 * row);
+      __builtin_prefetch(from.log_scales + 3 * row), __builtin_prefetch(from.opacity_logits + row);
+      const float* sh = from.sh + numbers * row;
+      for (size_t k = 0; k < numbers + LINE - 1; k += LINE) __builtin_prefetch(sh + k);
+    }
+  }
   // Adds them to these rows of arrays.
   void add_to(const GaussianGradients& to, const int32_t* rows, int count, int coefficients) const {
     const size_t numbers = 3 * static_cast<size_t>(coefficients);

@@ -48,11 +48,30 @@ void compress(const Visible& visible, const SplatGradients& all, int channel_cou
   }
 }
 
-// Draws one view again, back to front in the chain rule: keeps the gradients of its splats.
-void keep_gradient(const SceneViews& scene, int number, const Cotangents& cotangents, Workers& workers,
-                   SceneMemory& memory, const Bounds& bounds, SplatGradients& kept) {
-  Visible& visible = memory.visible;
-  visible.collect(scene.gaussians, bounds, scene.view(number), workers);
+// Projects the scene to all views, and calls body(view, visible, workers, memory) for each. A thread that works by itself
+// projects a part of the scene to several views before the next part, because the scene may be larger than its caches.
+template <class Body>
+void each_projected(const SceneViews& scene, Workers& workers, SceneMemory& memory, const Body& body) {
+  memory.bounds.fill(scene.gaussians, workers);
+  const int together = std::clamp(scene.views / (2 * workers.count()), 1, VIEWS_TOGETHER);
+  each_view((scene.views + together - 1) / together, workers, memory, [&](int group, Workers& threads, SceneMemory& own) {
+    const int first = group * together, count = std::min(together, scene.views - first);
+    if (threads.count() == 1) {
+      for (int i = 0; i < count; ++i) own.visible[i].count = 0, own.visible[i].make_room(scene.gaussians.count);
+      for (int part = 0; part < parts_of_scene(scene.gaussians.count); ++part) {
+        for (int i = 0; i < count; ++i) own.visible[i].append(scene.gaussians, memory.bounds, scene.view(first + i), part);
+      }
+    }
+    for (int i = 0; i < count; ++i) {
+      if (threads.count() > 1) own.visible[i].collect(scene.gaussians, memory.bounds, scene.view(first + i), threads);
+      body(first + i, own.visible[i], threads, own);
+    }
+  });
+}
+
+// Finds the gradients of the splats of one view, and keeps those that are not zero.
+void keep_gradient(const SceneViews& scene, int number, const Cotangents& cotangents, Visible& visible, Workers& workers,
+                   SceneMemory& memory, SplatGradients& kept) {
   const size_t count = visible.count, pixels = scene.pixels() * number, channels = scene.channel_count;
   SplatGradients& all = memory.gradients;
   const Gradients to{all.means2d.at_least(2 * count), all.sqrt_conics.at_least(3 * count), all.opacities.at_least(count),
@@ -92,21 +111,18 @@ void sum_over_views(const SceneViews& scene, const std::vector<SplatGradients>& 
 }  // namespace
 
 void draw_views(const SceneViews& scene, const Image& images, Workers& workers, SceneMemory& memory) {
-  memory.bounds.fill(scene.gaussians, workers);
-  each_view(scene.views, workers, memory, [&](int number, Workers& threads, SceneMemory& own) {
-    own.visible.collect(scene.gaussians, memory.bounds, scene.view(number), threads);
+  each_projected(scene, workers, memory, [&](int number, Visible& visible, Workers& threads, SceneMemory& own) {
     const size_t pixels = scene.pixels() * number;
     const Image image{images.sums + pixels * scene.channel_count, images.alpha + pixels};
-    rasterize(input_of(scene, own.visible), image, threads, own.drawing, scene.max_pairs);
+    rasterize(input_of(scene, visible), image, threads, own.drawing, scene.max_pairs);
   });
 }
 
 void draw_views_gradient(const SceneViews& scene, const Cotangents& cotangents, const GaussianGradients& gradients,
                          Workers& workers, SceneMemory& memory) {
-  memory.bounds.fill(scene.gaussians, workers);
   if (static_cast<int>(memory.kept.size()) < scene.views) memory.kept.resize(scene.views);
-  each_view(scene.views, workers, memory, [&](int number, Workers& threads, SceneMemory& own) {
-    keep_gradient(scene, number, cotangents, threads, own, memory.bounds, memory.kept[number]);
+  each_projected(scene, workers, memory, [&](int number, Visible& visible, Workers& threads, SceneMemory& own) {
+    keep_gradient(scene, number, cotangents, visible, threads, own, memory.kept[number]);
   });
   const int total = scene.gaussians.count, parts = (total + PART_OF_SUM - 1) / PART_OF_SUM;
   // The size of parts does not depend on the number of threads, so their sums do not either.

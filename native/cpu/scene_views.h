@@ -26,12 +26,14 @@ struct SceneViews {
   size_t pixels() const { return static_cast<size_t>(settings.width) * settings.height; }
 };
 
+constexpr int VIEWS_TOGETHER = 4;
+
 // Memory of a call, which is kept for the next one.
 struct SceneMemory {
   Scratch drawing;
-  Visible visible;                   // of one view
-  SplatGradients gradients;          // of all of its splats; `colors` has all channels
-  std::vector<std::unique_ptr<SceneMemory>> threads;  // one for each thread that draws a view by itself
+  Visible visible[VIEWS_TOGETHER];   // of the views that a thread draws together
+  SplatGradients gradients;          // of all splats of a view; `colors` has all channels
+  std::vector<std::unique_ptr<SceneMemory>> threads;  // one for each thread that draws views by itself
   Bounds bounds;                     // of the scene
   std::vector<SplatGradients> kept;  // gradients that are not zero, for each view
 };

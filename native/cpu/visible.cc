@@ -71,6 +71,16 @@ class Frustum {
   Vector translation_;
 };
 
+// Writes the rows [begin, end) that a camera may see, in order, and returns their number.
+int find(const Bounds& bounds, const View& view, int begin, int end, int32_t* rows) {
+  const Frustum frustum(view);
+  int32_t* next = rows;
+  for (int first = begin; first < end; first += LANES) {
+    for (uint32_t seen = frustum.may_see(bounds, first); seen; seen &= seen - 1) *next++ = first + __builtin_ctz(seen);
+  }
+  return static_cast<int>(next - rows);
+}
+
 }  // namespace
 
 void Bounds::fill(const Gaussians& gaussians, Workers& workers) {
@@ -98,38 +108,50 @@ void Bounds::fill(const Gaussians& gaussians, Workers& workers) {
   });
 }
 
+void Visible::make_room(int rows_at_most) {
+  const size_t most = rows_at_most;
+  rows.at_least(most);
+  means2d.at_least(2 * most), sqrt_conics.at_least(3 * most), depths.at_least(most);
+  extents.at_least(2 * most), colors.at_least(3 * most), opacities.at_least(most);
+}
+
+// Projects the splats [begin, end).
+void Visible::project(const Gaussians& gaussians, const View& view, int begin, int end) {
+  const int32_t* all = rows.get();
+  Gathered<LANES> own;
+  own.prefetch(gaussians, all + begin, std::min(LANES, end - begin));
+  for (int at = begin; at < end; at += LANES) {
+    const int number = std::min(LANES, end - at);
+    own.prefetch(gaussians, all + at + LANES, std::clamp(end - at - LANES, 0, LANES));
+    own.gather(gaussians, all + at, number);
+    const size_t first = at;
+    project_rows(own.gaussians(number, gaussians.coefficients), view,
+                 {means2d.get() + 2 * first, sqrt_conics.get() + 3 * first, depths.get() + first, extents.get() + 2 * first,
+                  colors.get() + 3 * first, opacities.get() + first});
+  }
+}
+
+void Visible::append(const Gaussians& gaussians, const Bounds& bounds, const View& view, int part) {
+  const int before = count;
+  count += find(bounds, view, part * ROWS_OF_PART, std::min((part + 1) * ROWS_OF_PART, gaussians.count), rows.get() + before);
+  project(gaussians, view, before, count);
+}
+
 void Visible::collect(const Gaussians& gaussians, const Bounds& bounds, const View& view, Workers& workers) {
-  const int total = gaussians.count, parts = parts_of(total);
-  int32_t* all = rows.at_least(total);
-  int32_t* found = found_.at_least(parts);
-  const Frustum frustum(view);
+  const int total = gaussians.count, parts = parts_of_scene(total);
+  make_room(total);
+  int32_t *all = rows.get(), *found = found_.at_least(parts);
   workers.each(parts, [&](int part) {
-    int32_t* next = all + part * PART;
-    each_lanes(part, total, [&](int first, int) {
-      for (uint32_t seen = frustum.may_see(bounds, first); seen; seen &= seen - 1) *next++ = first + __builtin_ctz(seen);
-    });
-    found[part] = static_cast<int32_t>(next - (all + part * PART));
+    const int begin = part * ROWS_OF_PART;
+    found[part] = find(bounds, view, begin, std::min(begin + ROWS_OF_PART, total), all + begin);
   });
   count = 0;
   for (int part = 0; part < parts; ++part) {
-    std::copy_n(all + part * PART, found[part], all + count);
+    std::copy_n(all + part * ROWS_OF_PART, found[part], all + count);
     count += found[part];
   }
-  const Projected to{means2d.at_least(2 * static_cast<size_t>(count)), sqrt_conics.at_least(3 * static_cast<size_t>(count)),
-                     depths.at_least(count), extents.at_least(2 * static_cast<size_t>(count)),
-                     colors.at_least(3 * static_cast<size_t>(count)), opacities.at_least(count)};
   workers.each((count + TOGETHER - 1) / TOGETHER, [&](int task) {
-    const int end = std::min((task + 1) * TOGETHER, count);
-    Gathered<LANES> own;
-    for (size_t first = static_cast<size_t>(task) * TOGETHER; first < static_cast<size_t>(end); first += LANES) {
-      const int number = std::min<int>(LANES, end - static_cast<int>(first));
-      const int next = std::clamp<int>(count - static_cast<int>(first) - LANES, 0, LANES);
-      own.prefetch(gaussians, all + first + LANES, next);
-      own.gather(gaussians, all + first, number);
-      project_rows(own.gaussians(number, gaussians.coefficients), view,
-                   {to.means2d + 2 * first, to.sqrt_conics + 3 * first, to.depths + first, to.extents + 2 * first,
-                    to.colors + 3 * first, to.opacities + first});
-    }
+    project(gaussians, view, task * TOGETHER, std::min((task + 1) * TOGETHER, count));
   });
 }
 

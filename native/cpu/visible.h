@@ -22,6 +22,10 @@ struct Bounds {
   void fill(const Gaussians& gaussians, Workers& workers);
 };
 
+// A scene is searched part by part, so that a part is in the caches while several views are searched for it.
+constexpr int ROWS_OF_PART = 1024;
+inline int parts_of_scene(int count) { return (count + ROWS_OF_PART - 1) / ROWS_OF_PART; }
+
 // Splats of one view; `count` rows, of which the projection has culled some (extent 0).
 struct Visible {
   int count = 0;
@@ -29,10 +33,16 @@ struct Visible {
   Buffer<float> means2d, sqrt_conics, depths, extents, colors, opacities;
   Buffer<float> channels;  // colors and depths side by side
 
-  // Finds rows whose sphere may reach into the image, and projects them.
+  // Finds the rows whose sphere may reach into the image, and projects them.
   void collect(const Gaussians& gaussians, const Bounds& bounds, const View& view, Workers& workers);
 
+  void make_room(int rows_at_most);
+  // Appends and projects the rows of a part of the scene.
+  void append(const Gaussians& gaussians, const Bounds& bounds, const View& view, int part);
+
  private:
+  void project(const Gaussians& gaussians, const View& view, int begin, int end);
+
   Buffer<int32_t> found_;  // numbers of rows that parts have found
 };
 

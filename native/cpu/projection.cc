@@ -54,6 +54,10 @@ int camera_fields(LensKind lens) {
   return fields;
 }
 
+void project_rows(const Gaussians& gaussians, const View& view, const Projected& splats) {
+  project_lanes<Pinhole>(gaussians, view, splats, 0, gaussians.count);
+}
+
 void project(int views, Workers& workers, const std::function<ProjectedView(int)>& view_of) {
   if (views == 0) return;
   const ProjectedView one = view_of(0);

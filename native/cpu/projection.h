@@ -77,6 +77,12 @@ struct PushedView {
 // Projects to all views of a batch. All have the same number of Gaussians, and the same lens.
 void project(int views, Workers& workers, const std::function<ProjectedView(int)>& view_of);
 
+// Projects up to sixteen Gaussians to one view, through a pinhole.
+void project_rows(const Gaussians& gaussians, const View& view, const Projected& splats);
+
+// Pulls back the gradient of the splats of one view through a pinhole, and adds the camera's to `camera`.
+void pull_back_rows(const PulledBackView& job, double camera[CAMERA_FIELDS]);
+
 // `summed`: the views share one scene, and its gradients are summed over them.
 void project_gradient(int views, bool summed, Workers& workers, const std::function<PulledBackView(int)>& view_of);
 

@@ -215,6 +215,15 @@ void pull_back(const Pass& pass, int part, int total, double* camera_sums) {
 
 }  // namespace
 
+void pull_back_rows(const PulledBackView& job, double camera[CAMERA_FIELDS]) {
+  CameraGradient<Pinhole::FIELDS> sums;
+  for (int first = 0; first < job.gaussians.count; first += LANES) {
+    PullBack<Pinhole>({job.gaussians, job.view, job.cotangents, job.gradients}, first, std::min(LANES, job.gaussians.count - first))
+        .run(sums);
+  }
+  sums.move_to(camera);
+}
+
 void project_gradient(int views, bool summed, Workers& workers, const std::function<PulledBackView(int)>& view_of) {
   if (views == 0) return;
   const PulledBackView one = view_of(0);

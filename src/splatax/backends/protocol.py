@@ -40,13 +40,17 @@ class Draw(Protocol):
     """Both halves of the pipeline at once, for colour and depth: faster for a batch of views of one scene.
 
     It stands for a projection and a rasterizer, and draws what they draw.
-
-    Attributes:
-        project, composite: the kernels that it stands for.
     """
 
-    project: Project
-    composite: Composite
+    @property
+    def project(self) -> Project:
+        """The projection that it stands for."""
+        ...
+
+    @property
+    def composite(self) -> Composite:
+        """The rasterizer that it stands for."""
+        ...
 
     def fits(self, camera: Camera, method: Method) -> bool:
         """Returns whether it draws what such a camera sees."""

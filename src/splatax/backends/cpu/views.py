@@ -55,7 +55,8 @@ class NativeDrawing:
             rows.update(shape=(camera.height, camera.width, 4 if depths else 3)),
             matrix.update(shape=(camera.height, camera.width)),
         )
-        return batchable_call(View(self, structure, low_pass, depths), tuple(leaves), types)
+        sums, alpha = batchable_call(View(self, structure, low_pass, depths), tuple(leaves), types)
+        return sums, alpha
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,8 @@ class View:
 
     def one(self, *leaves: Array) -> Images:
         """Draws one view."""
-        splats = self.drawing.project(*jax.tree.unflatten(self.structure, leaves), self.low_pass)
+        gaussians, camera = jax.tree.unflatten(self.structure, leaves)
+        splats = self.drawing.project(gaussians, camera, self.low_pass)
         columns = [splats.colors, splats.depths[:, None]] if self.depths else [splats.colors]
         return self.drawing.composite(splats, jnp.concatenate(columns, axis=1))
 

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <numeric>
 
 namespace splatax {
 namespace {
@@ -51,6 +52,13 @@ int box_tiles(const Splat& splat) {
   return (splat.last_column - splat.first_column + 1) * (splat.last_row - splat.first_row + 1);
 }
 
+template <class Body>
+void each_tile_of_box(const Splat& splat, const Body& body) {
+  for (int row = splat.first_row; row <= splat.last_row; ++row) {
+    for (int column = splat.first_column; column <= splat.last_column; ++column) body(row, column);
+  }
+}
+
 // Written field by field: copying a fresh Span waits for its stores.
 void append(std::vector<Span>& spans, int row, int first, int last) {
   spans.emplace_back();
@@ -60,19 +68,15 @@ void append(std::vector<Span>& spans, int row, int first, int last) {
   span.last = static_cast<uint16_t>(last);
 }
 
-// Appends the tiles that the ellipse t^2 + s^2 <= reach touches, row by row.
+bool is_small(const Splat& splat) { return box_tiles(splat) <= SMALL_BOX; }
+
+// Appends the tiles that the ellipse t^2 + s^2 <= reach touches, row by row, and returns their number.
 //
 // At height dy the ellipse reaches from (-v dy - c) / u to (-v dy + c) / u with c^2 = reach - w^2 dy^2.
 // Over a band of heights the right end is furthest where its derivative is zero, at
 // dy = -v sqrt(reach) / (w sqrt(v^2 + w^2)), or at the end of the band next to that; the left end,
 // by symmetry, opposite.
 int append_spans(const Splat& splat, std::vector<Span>& spans) {
-  if (box_tiles(splat) <= SMALL_BOX) {  // the blocks of its tiles are tested later
-    for (int row = splat.first_row; row <= splat.last_row; ++row) {
-      append(spans, row, splat.first_column, splat.last_column);
-    }
-    return box_tiles(splat);
-  }
   const float root = std::sqrt(splat.reach);
   const float steep = splat.w * std::sqrt(splat.v * splat.v + splat.w * splat.w);
   const bool bounded = splat.u > 0 && steep > 0;
@@ -125,23 +129,31 @@ void Binning::collect(const Input& input, Workers& workers, int64_t max_pairs) {
     begins[range] = begin, found[range] = place - begin;
   });
   // Closes the gaps between the splats of the ranges, moving only keys and places.
-  visible = 0;
-  for (int range = 0; range < workers.count(); ++range) {
+  visible = found[0];
+  for (int range = 1; range < workers.count(); ++range) {
     for (int i = 0; i < found[range]; ++i, ++visible) {
       keys[visible] = keys[begins[range] + i];
       places[visible] = begins[range] + i;
     }
   }
+  std::iota(places, places + found[0], 0);
   order(workers);
 
   Splat* sorted = splats.at_least(visible);
   workers.ranges(visible, [&](int, int begin, int end) {
     for (int i = begin; i < end; ++i) sorted[i] = collected[places_[i]];
   });
+  divide(max_pairs);
+}
+
+// Divides the splats into rounds of at most `max_pairs`, or of one splat.
+void Binning::divide(int64_t max_pairs) {
   rounds.assign(1, {0, visible});
+  pairs_at_most = int64_t{visible} * tiles();
+  if (pairs_at_most <= max_pairs / FEW) return;
   pairs_at_most = 0;
   for (int i = 0; i < visible; ++i) {
-    const int more = box_tiles(sorted[i]);
+    const int more = box_tiles(splats[i]);
     if (pairs_at_most > 0 && pairs_at_most + more > max_pairs) {
       rounds.back().end = i;
       rounds.push_back({i, visible});
@@ -197,8 +209,14 @@ void Binning::list(int number, Workers& workers) {
     std::vector<Span>& spans = spans_[range];
     spans.clear();
     for (int i = begin; i < end; ++i) {
+      const Splat& splat = splats[round.begin + i];
+      if (is_small(splat)) {  // the blocks of its tiles are tested later
+        first[i] = box_tiles(splat);
+        each_tile_of_box(splat, [&](int row, int column) { ++counts[row * columns + column]; });
+        continue;
+      }
       const size_t before = spans.size();
-      first[i] = append_spans(splats[round.begin + i], spans);
+      first[i] = append_spans(splat, spans);
       for (size_t k = before; k < spans.size(); ++k) {
         for (int column = spans[k].first; column <= spans[k].last; ++column) {
           ++counts[spans[k].row * columns + column];
@@ -220,6 +238,12 @@ void Binning::list(int number, Workers& workers) {
     int32_t* next = histogram_.of(range);
     const Span* span = spans_[range].data();
     for (int i = begin; i < end; ++i) {
+      const Splat& splat = splats[round.begin + i];
+      if (is_small(splat)) {
+        int32_t index = first[i];
+        each_tile_of_box(splat, [&](int row, int column) { all[next[row * columns + column]++] = {round.begin + i, index++}; });
+        continue;
+      }
       for (int32_t index = first[i]; index < first[i + 1]; ++span) {
         for (int column = span->first; column <= span->last; ++column, ++index) {
           all[next[span->row * columns + column]++] = {round.begin + i, index};

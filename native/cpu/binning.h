@@ -44,6 +44,8 @@ struct Tile {
 
 class Binning {
  public:
+  static constexpr int FEW = 8;  // so many times fewer pairs than there may be in a round are few
+
   // Steps 1 and 2. Afterwards `splats` holds the `visible` splats in depth order, in at least one round.
   void collect(const Input& input, Workers& workers, int64_t max_pairs);
 
@@ -56,7 +58,7 @@ class Binning {
   void list(int round, Workers& workers);
 
   int columns = 0, rows = 0, visible = 0;
-  int64_t pairs_at_most = 0;  // of the last round
+  int64_t pairs_at_most = 0;  // of the last round: an upper bound
   std::vector<Round> rounds;
   Buffer<Splat> splats;
   Buffer<int32_t> first_pair;
@@ -79,6 +81,7 @@ class Binning {
   static constexpr int NONE = -1;
 
   void order(Workers& workers);
+  void divide(int64_t max_pairs);
 
   int listed_ = NONE;    // round
   bool loaded_ = false;  // channels

@@ -22,7 +22,7 @@ struct SplatArrays {
     const auto [n, c] = checks.sizes<2>("channels", channels);
     checks.range("the number of splats", n, 0, MOST_ROWS).range("the number of channels", c, 0, MOST_ROWS);
     checks.shape("means2d", means2d, {n, 2}).shape("sqrt_conics", sqrt_conics, {n, 3}).shape("depths", depths, {n});
-    checks.shape("extents", extents, {n, 2}).shape("opacities", opacities, {n});
+    checks.shape("extents", extents, {n, 2}).shape("opacities", opacities, {n}).shape("channels", channels, {n, c});
     return {n, c};
   }
 

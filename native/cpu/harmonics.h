@@ -1,33 +1,13 @@
 // Real spherical harmonics and their gradients, as in splatax/math/harmonics.py.
 #pragma once
 
-#include "lanes.h"
+#include "duals.h"
 
 namespace splatax {
 
 constexpr int MAX_COEFFICIENTS = 25;  // degree 4
 
-// Number with its derivatives with respect to x, y and z, for forward-mode differentiation.
-struct Dual {
-  Lanes value, d[3];
-};
-
-SPLATAX_INLINE Dual operator+(const Dual& a, const Dual& b) {
-  return {a.value + b.value, {a.d[0] + b.d[0], a.d[1] + b.d[1], a.d[2] + b.d[2]}};
-}
-SPLATAX_INLINE Dual operator-(const Dual& a, const Dual& b) {
-  return {a.value - b.value, {a.d[0] - b.d[0], a.d[1] - b.d[1], a.d[2] - b.d[2]}};
-}
-SPLATAX_INLINE Dual operator-(const Dual& a, float b) { return {a.value - b, {a.d[0], a.d[1], a.d[2]}}; }
-SPLATAX_INLINE Dual operator+(const Dual& a, float b) { return {a.value + b, {a.d[0], a.d[1], a.d[2]}}; }
-SPLATAX_INLINE Dual operator*(float a, const Dual& b) { return {a * b.value, {a * b.d[0], a * b.d[1], a * b.d[2]}}; }
-SPLATAX_INLINE Dual operator*(const Dual& a, const Dual& b) {
-  Dual product{a.value * b.value, {}};
-  for (int i = 0; i < 3; ++i) product.d[i] = multiply_add(a.d[i], b.value, a.value * b.d[i]);
-  return product;
-}
-
-// Computes the basis functions at a unit direction, band by band; T is Lanes, or Dual for gradients too.
+// Computes the basis functions at a unit direction, band by band; T is Lanes, or Dual<3> for gradients too.
 template <class T>
 SPLATAX_INLINE void harmonics(const T& x, const T& y, const T& z, int coefficients, T basis[MAX_COEFFICIENTS]) {
   basis[0] = 0.0f * x + 0.28209479177387814f;

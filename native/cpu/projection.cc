@@ -3,11 +3,11 @@
 namespace splatax {
 namespace {
 
-void project_lanes(const Gaussians& gaussians, const View& view, const Projected& splats, int first,
-                   int count) {
-  const Projection p(gaussians, view, first, count);
+template <class Lens>
+void project_lanes(const Gaussians& gaussians, const View& view, const Projected& splats, int first, int count) {
+  const Projection<Lens> p(gaussians, view, first, count);
   const size_t row = first;
-  const Lanes x = multiply_add(p.fx, p.slope_x, p.cx), y = multiply_add(p.fy, p.slope_y, p.cy);
+  const Lanes x = p.lens.pixel_x(), y = p.lens.pixel_y();
 
   alignas(64) float reach[LANES];
   store(reach, max(p.opacity * broadcast(1 / MIN_ALPHA), broadcast(1)));
@@ -20,7 +20,7 @@ void project_lanes(const Gaussians& gaussians, const View& view, const Projected
 
   Vector color{broadcast(0), broadcast(0), broadcast(0)};
   if (any(visible)) {
-    const Direction direction(p, view);
+    const Direction direction(p.means.world, view);
     Lanes basis[MAX_COEFFICIENTS];
     harmonics(direction.unit.x, direction.unit.y, direction.unit.z, gaussians.coefficients, basis);
     const int width_of_sh = 3 * gaussians.coefficients;
@@ -39,7 +39,7 @@ void project_lanes(const Gaussians& gaussians, const View& view, const Projected
   const Lanes u = sqrt(p.c / p.determinant);
   write_pairs(x, y, splats.means2d + 2 * row, count);
   write_vectors({u, -(p.b * u) / p.c, broadcast(1) / sqrt(p.c)}, splats.sqrt_conics + 3 * row, count);
-  write_numbers(p.point.z, splats.depths + row, count);
+  write_numbers(p.lens.depth(), splats.depths + row, count);
   write_pairs(or_zero(visible, width), or_zero(visible, height), splats.extents + 2 * row, count);
   write_numbers(p.opacity, splats.opacities + row, count);
   write_vectors({max(color.x, broadcast(0)), max(color.y, broadcast(0)), max(color.z, broadcast(0))}, splats.colors + 3 * row,
@@ -48,13 +48,27 @@ void project_lanes(const Gaussians& gaussians, const View& view, const Projected
 
 }  // namespace
 
+int camera_fields(LensKind lens) {
+  int fields = 0;
+  with_lens(lens, [&](auto* chosen) { fields = std::remove_pointer_t<decltype(chosen)>::FIELDS; });
+  return fields;
+}
+
+void project_rows(const Gaussians& gaussians, const View& view, const Projected& splats) {
+  project_lanes<Pinhole>(gaussians, view, splats, 0, gaussians.count);
+}
+
 void project(int views, Workers& workers, const std::function<ProjectedView(int)>& view_of) {
   if (views == 0) return;
-  const int total = view_of(0).gaussians.count, parts = parts_of(total);
-  workers.each(views * parts, [&](int task) {
-    const ProjectedView job = view_of(task / parts);
-    each_lanes(task % parts, total,
-               [&](int first, int count) { project_lanes(job.gaussians, job.view, job.splats, first, count); });
+  const ProjectedView one = view_of(0);
+  const int total = one.gaussians.count, parts = parts_of(total);
+  with_lens(one.view.lens, [&](auto* chosen) {
+    using Lens = std::remove_pointer_t<decltype(chosen)>;
+    workers.each(views * parts, [&](int task) {
+      const ProjectedView job = view_of(task / parts);
+      each_lanes(task % parts, total,
+                 [&](int first, int count) { project_lanes<Lens>(job.gaussians, job.view, job.splats, first, count); });
+    });
   });
 }
 

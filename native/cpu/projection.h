@@ -1,5 +1,7 @@
-// EWA projection of sixteen Gaussians at a time, as in splatax/projection.py, and its gradient.
+// EWA projection of sixteen Gaussians at a time, as in splatax/projection.py, its gradient and its tangents.
 #pragma once
+
+#include <vector>
 
 #include "parallel.h"
 
@@ -14,12 +16,18 @@ struct Gaussians {
   int count, coefficients;
 };
 
-// Numbers of a camera; their gradients have the same layout.
+// Numbers of a camera, before those of its lens; their gradients have the same layout.
 enum CameraField { FX, FY, CX, CY, ROTATION, TRANSLATION = ROTATION + 9, POSITION = TRANSLATION + 3,
                    CAMERA_FIELDS = POSITION + 3 };
 
+// Lenses that have a kernel, in the order of `LENSES` in splatax/backends/cpu/projection.py.
+enum class LensKind { PINHOLE, OPENCV, FISHEYE, COUNT };
+// Numbers of a camera with such a lens.
+int camera_fields(LensKind lens);
+
 struct View {
-  const float* camera;  // [CAMERA_FIELDS]; rotation row by row
+  const float* camera;  // [camera_fields(lens)]; rotation row by row
+  LensKind lens;
   int width, height;
   float variance;    // variance of the low-pass filter, pixels^2
   bool fades;        // true if the low-pass filter multiplies opacity by a factor,
@@ -41,6 +49,12 @@ struct GaussianGradients {
   float *means, *quats, *log_scales, *opacity_logits, *sh, *camera;
 };
 
+// Direction in the inputs of the same names, null where they stay, and where the splats' derivatives go.
+struct Direction3d {
+  const float *means, *quats, *log_scales, *opacity_logits, *sh, *camera;
+  float *means2d, *sqrt_conics, *depths, *colors, *opacities;
+};
+
 // Inputs and outputs of one view of a batch.
 struct ProjectedView {
   Gaussians gaussians;
@@ -53,11 +67,26 @@ struct PulledBackView {
   ProjectedCotangents cotangents;
   GaussianGradients gradients;
 };
+struct PushedView {
+  Gaussians gaussians;
+  View view;
+  const float* extents;  // of the forward pass: the derivatives of culled splats are zero
+  std::vector<Direction3d> directions;
+};
 
-// Projects to all views of a batch. All have the same number of Gaussians.
+// Projects to all views of a batch. All have the same number of Gaussians, and the same lens.
 void project(int views, Workers& workers, const std::function<ProjectedView(int)>& view_of);
+
+// Projects up to sixteen Gaussians to one view, through a pinhole.
+void project_rows(const Gaussians& gaussians, const View& view, const Projected& splats);
+
+// Pulls back the gradient of the splats of one view through a pinhole, and adds the camera's to `camera`.
+void pull_back_rows(const PulledBackView& job, double camera[CAMERA_FIELDS]);
 
 // `summed`: the views share one scene, and its gradients are summed over them.
 void project_gradient(int views, bool summed, Workers& workers, const std::function<PulledBackView(int)>& view_of);
+
+// Derivatives along any number of directions, which share what they have in common.
+void project_tangents(const std::vector<PushedView>& views, Workers& workers);
 
 }  // namespace splatax

@@ -9,8 +9,9 @@ constexpr int SHORT = 256;  // Gaussians whose parts of the camera's gradient ar
 static_assert(PART % SHORT == 0);
 
 // Sums of some Gaussians' parts of the camera's gradient, lane by lane.
+template <int FIELDS>
 struct CameraGradient {
-  Lanes sums[CAMERA_FIELDS];
+  Lanes sums[FIELDS];
 
   CameraGradient() {
     for (Lanes& sum : sums) sum = broadcast(0);
@@ -24,8 +25,8 @@ struct CameraGradient {
     add(ROTATION, a.x * b), add(ROTATION + 3, a.y * b), add(ROTATION + 6, a.z * b);
   }
   // Adds the sums to a total, and resets them to zero.
-  void move_to(double total[CAMERA_FIELDS]) {
-    for (int field = 0; field < CAMERA_FIELDS; ++field) {
+  void move_to(double total[FIELDS]) {
+    for (int field = 0; field < FIELDS; ++field) {
       alignas(64) float each[LANES];
       store(each, sums[field]);
       for (const float value : each) total[field] += value;
@@ -33,17 +34,6 @@ struct CameraGradient {
     }
   }
 };
-
-// Gradient of the clipped slope x / z in the Jacobian, to the point and, through the bounds, to the camera.
-//
-// Returns dL/d (x / z); the bounds are -(c + margin) / f and (size - c + margin) / f.
-SPLATAX_INLINE Lanes clip_gradient(const Clipped& slope, Lanes d_slope, Lanes focal, int focal_field,
-                                   int centre_field, CameraGradient& camera) {
-  const Lanes d_outside = where(slope.below, d_slope, or_zero(slope.above, d_slope));
-  camera.add(centre_field, -(d_outside / focal));
-  camera.add(focal_field, -(d_outside * slope.value / focal));
-  return d_slope - d_outside;
-}
 
 // Inputs and outputs of the backward pass.
 struct Pass {
@@ -54,6 +44,7 @@ struct Pass {
 };
 
 // Backward pass of sixteen Gaussians.
+template <class Lens>
 class PullBack {
  public:
   PullBack(const Pass& pass, int first, int count)
@@ -67,7 +58,7 @@ class PullBack {
   // The chain rule backwards through `Projection`. Names are those of the equations in
   // splatax/projection.py: Sigma' = F F^T + v I with rows f, g of F = J W R S, (a, b, c) of Sigma',
   // D = |f x g|^2 + v (|f|^2 + |g|^2) + v^2, and u = sqrt(c / D), v = -b u / c, w = 1 / sqrt(c).
-  void run(CameraGradient& camera) const {
+  void run(CameraGradient<Lens::FIELDS>& camera) const {
     const Lanes u = sqrt(p.c / p.determinant), w = broadcast(1) / sqrt(p.c), b_per_c = p.b / p.c;
     const Vector d_root = read_vectors(pass.cotangents.sqrt_conics + 3 * row, count);
     const Lanes d_u = d_root.x - d_root.y * b_per_c;
@@ -90,42 +81,34 @@ class PullBack {
     Matrix d_oriented;
     const Lanes f_of[3] = {d_f.x, d_f.y, d_f.z}, g_of[3] = {d_g.x, d_g.y, d_g.z};
     for (int k = 0; k < 3; ++k) {
-      const Vector d_factor = f_of[k] * p.jacobian[0] + g_of[k] * p.jacobian[1];
-      d_oriented.column[k] = transposed_times(p.rotation, d_factor);
+      const Vector d_factor = f_of[k] * p.lens.jacobian[0] + g_of[k] * p.lens.jacobian[1];
+      d_oriented.column[k] = transposed_times(p.means.rotation, d_factor);
       camera.add_outer(d_factor, p.oriented.column[k]);
     }
     orientation(d_oriented);
 
-    const Vector d_j0 = p.factor * d_f, d_j1 = p.factor * d_g;
-    const Clipped slope_x = p.clipped_x(pass.view), slope_y = p.clipped_y(pass.view);
-    const Lanes kx = p.fx * p.inverse_z, ky = p.fy * p.inverse_z;
-    const Lanes d_kx = d_j0.x - slope_x.value * d_j0.z, d_ky = d_j1.y - slope_y.value * d_j1.z;
     const Columns<2> d_means2d(pass.cotangents.means2d + 2 * row, 2, count);
-    const Lanes d_x2d = or_zero(seen, d_means2d[0]), d_y2d = or_zero(seen, d_means2d[1]);
-    const Lanes d_slope_x = d_x2d * p.fx + clip_gradient(slope_x, -(kx * d_j0.z), p.fx, FX, CX, camera);
-    const Lanes d_slope_y = d_y2d * p.fy + clip_gradient(slope_y, -(ky * d_j1.z), p.fy, FY, CY, camera);
-    camera.add(FX, d_kx * p.inverse_z + d_x2d * p.slope_x), camera.add(FY, d_ky * p.inverse_z + d_y2d * p.slope_y);
-    camera.add(CX, d_x2d), camera.add(CY, d_y2d);
-    const Lanes d_depth = or_zero(seen, read_numbers(pass.cotangents.depths + row, count));
-    const Vector d_point{
-        d_slope_x * p.inverse_z, d_slope_y * p.inverse_z,
-        d_depth - (d_kx * kx + d_ky * ky + d_slope_x * p.slope_x + d_slope_y * p.slope_y) * p.inverse_z};
-    camera.add_outer(d_point, p.mean), camera.add(TRANSLATION, d_point);
+    const Vector d_point = p.lens.pull({or_zero(seen, d_means2d[0]),
+                                        or_zero(seen, d_means2d[1]),
+                                        {p.factor * d_f, p.factor * d_g},
+                                        or_zero(seen, read_numbers(pass.cotangents.depths + row, count))},
+                                       camera);
+    camera.add_outer(d_point, p.means.world), camera.add(TRANSLATION, d_point);
 
     const Vector d_color = read_vectors(pass.cotangents.colors + 3 * row, count);
     const Vector d_offset = or_zero(seen, color(d_color));
     camera.add(POSITION, Vector{-d_offset.x, -d_offset.y, -d_offset.z});
-    write_vectors(transposed_times(p.rotation, d_point) + d_offset, pass.gradients.means + 3 * row, count);
+    write_vectors(transposed_times(p.means.rotation, d_point) + d_offset, pass.gradients.means + 3 * row, count);
   }
 
  private:
   // dL/d sh, and the gradient that reaches the mean through the direction of view.
   SPLATAX_INLINE Vector color(Vector d_color) const {
-    const Direction direction(p, pass.view);
+    const Direction direction(p.means.world, pass.view);
     const Vector& unit = direction.unit;
-    Dual basis[MAX_COEFFICIENTS];
+    Dual<3> basis[MAX_COEFFICIENTS];
     const Lanes zero = broadcast(0), one = broadcast(1);
-    harmonics<Dual>({unit.x, {one, zero, zero}}, {unit.y, {zero, one, zero}}, {unit.z, {zero, zero, one}},
+    harmonics<Dual<3>>({unit.x, {one, zero, zero}}, {unit.y, {zero, one, zero}}, {unit.z, {zero, zero, one}},
                     pass.gaussians.coefficients, basis);
     const int numbers = 3 * pass.gaussians.coefficients;
     const size_t begin = row * numbers;
@@ -177,7 +160,7 @@ class PullBack {
   const Pass& pass;
   const size_t row;
   const int count;
-  const Projection p;
+  const Projection<Lens> p;
   Mask seen;
 };
 
@@ -220,20 +203,37 @@ class PartSum {
   std::vector<float> own_[FIELDS], sum_[FIELDS];
 };
 
+// Gradients of one part of the Gaussians of a view; adds the camera's to sums.
+template <class Lens>
+void pull_back(const Pass& pass, int part, int total, double* camera_sums) {
+  CameraGradient<Lens::FIELDS> camera;
+  each_lanes(part, total, [&](int first, int count) {
+    PullBack<Lens>(pass, first, count).run(camera);
+    if (first % SHORT == SHORT - LANES || first + count == total) camera.move_to(camera_sums);
+  });
+}
+
 }  // namespace
+
+void pull_back_rows(const PulledBackView& job, double camera[CAMERA_FIELDS]) {
+  CameraGradient<Pinhole::FIELDS> sums;
+  for (int first = 0; first < job.gaussians.count; first += LANES) {
+    PullBack<Pinhole>({job.gaussians, job.view, job.cotangents, job.gradients}, first, std::min(LANES, job.gaussians.count - first))
+        .run(sums);
+  }
+  sums.move_to(camera);
+}
 
 void project_gradient(int views, bool summed, Workers& workers, const std::function<PulledBackView(int)>& view_of) {
   if (views == 0) return;
   const PulledBackView one = view_of(0);
-  const int total = one.gaussians.count, parts = parts_of(total);
+  const int total = one.gaussians.count, parts = parts_of(total), fields = camera_fields(one.view.lens);
   // The size of parts does not depend on the number of threads, so their sum does not either.
-  std::vector<double> sums(static_cast<size_t>(views) * parts * CAMERA_FIELDS, 0.0);
-  const auto pull_back = [&](const Pass& pass, int view, int part) {
-    double* camera_sums = &sums[(static_cast<size_t>(view) * parts + part) * CAMERA_FIELDS];
-    CameraGradient camera;
-    each_lanes(part, total, [&](int first, int count) {
-      PullBack(pass, first, count).run(camera);
-      if (first % SHORT == SHORT - LANES || first + count == total) camera.move_to(camera_sums);
+  std::vector<double> sums(static_cast<size_t>(views) * parts * fields, 0.0);
+  const auto pull = [&](const Pass& pass, int view, int part) {
+    double* camera_sums = &sums[(static_cast<size_t>(view) * parts + part) * fields];
+    with_lens(pass.view.lens, [&](auto* chosen) {
+      pull_back<std::remove_pointer_t<decltype(chosen)>>(pass, part, total, camera_sums);
     });
   };
   if (summed) {
@@ -242,7 +242,7 @@ void project_gradient(int views, bool summed, Workers& workers, const std::funct
       for (int view = 0; view < views; ++view) {
         const PulledBackView job = view_of(view);
         const GaussianGradients own = sum.of_one_view();
-        pull_back({job.gaussians, job.view, job.cotangents, own}, view, part);
+        pull({job.gaussians, job.view, job.cotangents, own}, view, part);
         sum.add(view);
       }
       sum.write(one.gradients);
@@ -250,16 +250,14 @@ void project_gradient(int views, bool summed, Workers& workers, const std::funct
   } else {
     workers.each(views * parts, [&](int task) {
       const PulledBackView job = view_of(task / parts);
-      pull_back({job.gaussians, job.view, job.cotangents, job.gradients}, task / parts, task % parts);
+      pull({job.gaussians, job.view, job.cotangents, job.gradients}, task / parts, task % parts);
     });
   }
   for (int view = 0; view < views; ++view) {
     const PulledBackView job = view_of(view);
-    for (int field = 0; field < CAMERA_FIELDS; ++field) {
+    for (int field = 0; field < fields; ++field) {
       double value = 0;
-      for (int part = 0; part < parts; ++part) {
-        value += sums[(static_cast<size_t>(view) * parts + part) * CAMERA_FIELDS + field];
-      }
+      for (int part = 0; part < parts; ++part) value += sums[(static_cast<size_t>(view) * parts + part) * fields + field];
       job.gradients.camera[field] = static_cast<float>(value);
     }
   }

@@ -2,44 +2,49 @@
 // Gaussians at once.
 #pragma once
 
-#include <cmath>
-
 #include "columns.h"
 #include "harmonics.h"
-#include "projection.h"
+#include "projection_fisheye.h"
+#include "projection_opencv.h"
+#include "projection_pinhole.h"
 #include "splats.h"
 
 namespace splatax {
 
-// Same constants as in splatax/projection.py.
-constexpr float NEAR = 0.01f;
-constexpr float MAX_SLOPE = 1e6f;
-constexpr float MAX_LOG_SCALE = 40;
-constexpr float FRUSTUM_MARGIN = 0.3f;
+constexpr float MAX_LOG_SCALE = 40;  // as in splatax/projection.py
 constexpr float LOG2_E = 1.442695041f;
 constexpr int PART = 4096;  // Gaussians that one thread works on at a time
 
-// x clipped to [low, high], and a mask of the lanes where it was inside.
-struct Clipped {
-  Lanes value;
-  Mask below, above;
-
-  Clipped(Lanes x, Lanes low, Lanes high)
-      : value(min(max(x, low), high)), below(x < low), above(high < x) {}
+// The part of the chain before the lens: means in camera axes.
+struct Means {
+  Matrix rotation;      // columns of the camera's rotation
+  Vector world, point;  // (0, 0, 1) in camera axes where the lens does not see them
+  Mask seen;
 };
 
-// Slope in the Jacobian, clipped to the image and a margin around it.
-SPLATAX_INLINE Clipped clipped(Lanes slope, Lanes centre, Lanes focal, int size) {
-  const Lanes margin = broadcast(FRUSTUM_MARGIN * 0.5f * size);
-  return {slope, -(centre + margin) / focal, (broadcast(size) - centre + margin) / focal};
+// Reads means, and turns them into camera axes.
+template <class Lens>
+SPLATAX_INLINE Means means_of(const Gaussians& gaussians, const View& view, int first, int count) {
+  const float* camera = view.camera;
+  Means means;
+  for (int k = 0; k < 3; ++k) {
+    const float* column = camera + ROTATION + k;
+    means.rotation.column[k] = {broadcast(column[0]), broadcast(column[3]), broadcast(column[6])};
+  }
+  means.world = read_vectors(gaussians.means + 3 * static_cast<size_t>(first), count);
+  const float* t = camera + TRANSLATION;
+  const Vector point = means.rotation * means.world + Vector{broadcast(t[0]), broadcast(t[1]), broadcast(t[2])};
+  means.seen = Lens::sees(point, camera);
+  means.world = or_zero(means.seen, means.world);  // culled rows must not propagate NaN
+  means.point = {or_zero(means.seen, point.x), or_zero(means.seen, point.y), where(means.seen, point.z, broadcast(1))};
+  return means;
 }
 
-// Values that the image and the gradient share, for sixteen Gaussians.
+// Values that the image, the gradient and the tangents share, for sixteen Gaussians.
+template <class Lens>
 struct Projection {
-  Matrix rotation;            // columns of the camera's rotation
-  Vector mean, point;         // in the world, and in camera axes; (0, 0, 1) where not in front
-  Lanes inverse_z, fx, fy, cx, cy, slope_x, slope_y;
-  Vector jacobian[2];         // rows of J
+  Means means;
+  Lens lens;                  // image of the means
   Lanes quat[4], quat_length, scale[3];
   Mask scale_clamped[3];
   Matrix turn, oriented, factor;  // R(q), R(q) S, W R(q) S
@@ -48,34 +53,13 @@ struct Projection {
   Lanes own_opacity, fade, opacity;
   Mask usable;
 
-  Projection(const Gaussians& gaussians, const View& view, int first, int count) {
-    const float* camera = view.camera;
-    fx = broadcast(camera[FX]), fy = broadcast(camera[FY]), cx = broadcast(camera[CX]), cy = broadcast(camera[CY]);
-    for (int k = 0; k < 3; ++k) {
-      const float* column = camera + ROTATION + k;
-      rotation.column[k] = {broadcast(column[0]), broadcast(column[3]), broadcast(column[6])};
-    }
-    mean = read_vectors(gaussians.means + 3 * static_cast<size_t>(first), count);
-    const float* t = camera + TRANSLATION;
-    const Vector seen = rotation * mean + Vector{broadcast(t[0]), broadcast(t[1]), broadcast(t[2])};
-    const Lanes widest = MAX_SLOPE * seen.z;
-    const Mask in_front = (broadcast(NEAR) < seen.z) & (seen.z < broadcast(INFINITY)) & (absolute(seen.x) < widest) &
-                          (absolute(seen.y) < widest);
-    mean = or_zero(in_front, mean);  // culled rows must not propagate NaN
-    point = {or_zero(in_front, seen.x), or_zero(in_front, seen.y), where(in_front, seen.z, broadcast(1))};
-    inverse_z = broadcast(1) / point.z;
-
-    slope_x = point.x * inverse_z, slope_y = point.y * inverse_z;
-    const Clipped x = clipped_x(view), y = clipped_y(view);
-    const Lanes kx = fx * inverse_z, ky = fy * inverse_z;
-    jacobian[0] = {kx, broadcast(0), -(kx * x.value)};
-    jacobian[1] = {broadcast(0), ky, -(ky * y.value)};
-
+  Projection(const Gaussians& gaussians, const View& view, int first, int count)
+      : means(means_of<Lens>(gaussians, view, first, count)), lens(means.point, view) {
     orient(gaussians, first, count);
-    for (int k = 0; k < 3; ++k) factor.column[k] = rotation * oriented.column[k];
-    f = transposed_times(factor, jacobian[0]), g = transposed_times(factor, jacobian[1]);
+    for (int k = 0; k < 3; ++k) factor.column[k] = means.rotation * oriented.column[k];
+    f = transposed_times(factor, lens.jacobian[0]), g = transposed_times(factor, lens.jacobian[1]);
     const Lanes size = dot(f, f) + dot(g, g), square = size * size;
-    usable = in_front & (absolute(square) < broadcast(INFINITY));
+    usable = means.seen & (absolute(square) < broadcast(INFINITY));
     f = or_zero(usable, f), g = or_zero(usable, g);
     for (int k = 0; k < 3; ++k) {
       oriented.column[k] = or_zero(usable, oriented.column[k]);
@@ -98,9 +82,6 @@ struct Projection {
     fade = view.fades ? sqrt(max(sharp / determinant, broadcast(least * least))) : broadcast(1);
     opacity = own_opacity * fade;
   }
-
-  Clipped clipped_x(const View& view) const { return clipped(slope_x, cx, fx, view.width); }
-  Clipped clipped_y(const View& view) const { return clipped(slope_y, cy, fy, view.height); }
 
  private:
   void orient(const Gaussians& gaussians, int first, int count) {
@@ -133,15 +114,23 @@ struct Direction {
   Vector unit;
   Lanes inverse_length;
 
-  Direction(const Projection& p, const View& view) {
+  Direction(const Vector& mean, const View& view) {
     const float* position = view.camera + POSITION;
-    const Vector offset = p.mean + Vector{broadcast(-position[0]), broadcast(-position[1]), broadcast(-position[2])};
+    const Vector offset = mean + Vector{broadcast(-position[0]), broadcast(-position[1]), broadcast(-position[2])};
     const Lanes squared = dot(offset, offset);
     const Mask apart = broadcast(0) < squared;
     inverse_length = or_zero(apart, broadcast(1) / sqrt(where(apart, squared, broadcast(1))));
     unit = inverse_length * offset;
   }
 };
+
+// Calls body with a null pointer to the type of a lens.
+template <class Body>
+void with_lens(LensKind lens, const Body& body) {
+  if (lens == LensKind::OPENCV) return body(static_cast<OpenCV*>(nullptr));
+  if (lens == LensKind::FISHEYE) return body(static_cast<Fisheye*>(nullptr));
+  return body(static_cast<Pinhole*>(nullptr));
+}
 
 // Calls body(first, count) for each group of sixteen Gaussians of a part.
 template <class Body>

@@ -7,96 +7,141 @@
 namespace splatax {
 namespace {
 
+#if defined(__AVX512F__)
+constexpr int DIRECTIONS_AT_ONCE = 3;  // whose sums stay in registers together
+#else
+constexpr int DIRECTIONS_AT_ONCE = 1;
+#endif
+constexpr int SHAPE = 6;  // numbers of the tangent of a splat's exponent
+
 // Directions of one walk, for one part of the channels.
 struct Directions {
   const Direction2d* of;
   int count;
   Part part;
+
+  // Channels of a row: RGB, or whole groups, padded with zeros.
+  int channels() const { return part.size == 3 ? 3 : std::max((part.size + GROUP - 1) / GROUP, 1) * GROUP; }
 };
 
-// Tangents of a splat's exponent along one direction. With t = u dx + v dy, s = w dy and alpha = o exp(-(t^2 + s^2) / 2),
+// What a walk needs of each splat, in the order of the input: channels, then shape and channels of each direction. One
+// walk reads the rows of a splat at many places; rows of the arrays of all directions would be as many cache misses.
 //
-//   dalpha / alpha = do / o - t dt - s ds,   dt = du dx + dv dy - u dmx - v dmy,   ds = dw dy - w dmy .
-struct ShapeTangent {
-  float du, dv, dw, t, s, level;  // t and s: the parts of dt and ds that are the same at all pixels; level: do / o
-};
-
-// Tangents of a chunk's splats, from the rows of the inputs.
-template <int K>
-struct ChunkTangents {
-  ShapeTangent shapes[K][CHUNK];
-  ChunkChannels<NARROW_WALK> channels, d_channels[K];
-
-  void gather(const Input& input, const Tile& tile, int first_pair, int count, const Directions& directions) {
-    channels.gather(input, tile, first_pair, count, directions.part);
-    for (int k = 0; k < directions.count; ++k) {
-      const Direction2d& to = directions.of[k];
-      Input moved = input;
-      moved.channels = to.channels;
-      d_channels[k].gather(moved, tile, first_pair, count, directions.part);
-      for (int i = 0; i < count; ++i) {
-        const size_t row = tile.splats[tile.pairs[first_pair + i].splat].row;
-        const float *root = input.sqrt_conics + 3 * row, *d_root = to.sqrt_conics + 3 * row, *d_mean = to.means2d + 2 * row;
-        shapes[k][i] = {d_root[0],
-                        d_root[1],
-                        d_root[2],
-                        -(root[0] * d_mean[0] + root[1] * d_mean[1]),
-                        -(root[2] * d_mean[1]),
-                        to.opacities[row] / input.opacities[row]};
+// With t = u dx + v dy, s = w dy and alpha = o exp(-(t^2 + s^2) / 2), the shape has the factors of dalpha / alpha,
+//
+//   do / o - du t dx - dv t dy - dw s dy - t (-u dmx - v dmy) - s (-w dmy) .
+class Rows {
+ public:
+  Rows(const Input& input, const Directions& directions, Workers& workers, Buffer<float>& memory)
+      : size_(directions.channels()), stride_(size_ + directions.count * (SHAPE + size_)) {
+    first_ = memory.at_least(static_cast<size_t>(input.count) * stride_);
+    workers.ranges(input.count, [&](int, int begin, int end) {
+      for (int row = begin; row < end; ++row) {
+        if (input.extents[2 * static_cast<size_t>(row)] > 0) write(input, directions, row, first_ + row * stride_);
       }
+    });
+  }
+
+  const float* channels(int row) const { return first_ + row * stride_; }
+  // Begins to load the row of a splat whose channels these are.
+  void prefetch(const float* channels) const {
+    for (size_t i = 0; i < stride_; i += 64 / sizeof(float)) __builtin_prefetch(channels + i);
+  }
+  // Tangents of that splat's shape along direction k.
+  const float* shape(const float* channels, int k) const { return channels + size_ + k * (SHAPE + size_); }
+
+ private:
+  void write(const Input& input, const Directions& directions, size_t row, float* to) const {
+    const float* root = input.sqrt_conics + 3 * row;
+    to = copy(input, directions.part, input.channels, row, to);
+    for (int k = 0; k < directions.count; ++k) {
+      const Direction2d& along = directions.of[k];
+      const float *d_root = along.sqrt_conics + 3 * row, *d_mean = along.means2d + 2 * row;
+      const float shape[SHAPE] = {along.opacities[row] / input.opacities[row],
+                                  -d_root[0],
+                                  -d_root[1],
+                                  -d_root[2],
+                                  root[0] * d_mean[0] + root[1] * d_mean[1],
+                                  root[2] * d_mean[1]};
+      to = copy(input, directions.part, along.channels, row, std::copy_n(shape, SHAPE, to));
     }
   }
+  float* copy(const Input& input, Part part, const float* channels, size_t row, float* to) const {
+    std::copy_n(channels + row * input.channel_count + part.first, part.size, to);
+    std::fill(to + part.size, to + size_, 0.0f);
+    return to + size_;
+  }
+
+  const int size_;
+  const size_t stride_;
+  float* first_;
 };
 
 // Splats of a chunk that are drawn in a block.
-struct Steps : Weights {
-  alignas(64) float free[CHUNK][LANES];  // 1 where alpha depends on the splat, else 0
-  alignas(64) float odds[CHUNK][LANES];  // alpha / (1 - alpha), else 0
-  alignas(64) float t[CHUNK][LANES], s[CHUNK][LANES];  // of the formula above
+struct Steps {
+  const float* rows[CHUNK];  // of `Rows`
+  int count = 0;
+  alignas(64) float weight[CHUNK][LANES];        // T alpha
+  alignas(64) float odds[CHUNK][LANES];          // alpha / (1 - alpha), or 0 where alpha does not depend on the splat
+  alignas(64) float factors[CHUNK][SHAPE][LANES];  // of the formula above, or 0 there
 };
 
-// Derivatives of a tile's image.
-template <int K>
+// Derivatives of a tile's image along up to K directions, by up to W channels.
+template <int K, int W>
 struct TileTangent {
   alignas(64) float transmittance[BLOCKS][LANES];  // as in `TileImage`
-  alignas(64) float logs[K][BLOCKS][LANES];        // dT / T
-  alignas(64) float sums[K][BLOCKS][NARROW_WALK][LANES];
+  alignas(64) float logs[BLOCKS][K][LANES];        // dT / T
+  alignas(64) float sums[BLOCKS][K][W][LANES];
 
-  void clear(const Input& input, const Tile& tile) {
-    std::memset(static_cast<void*>(this), 0, sizeof *this);
+  void clear(const Input& input, const Tile& tile, int channels) {
+    std::memset(static_cast<void*>(logs), 0, sizeof logs);
+    for (auto& block : sums) {
+      for (auto& sum : block) std::memset(static_cast<void*>(sum), 0, channels * sizeof sum[0]);
+    }
     let_light_through(input, tile, transmittance);
   }
 
-  void blend(const Input& input, const Tile& tile, const Directions& directions) {
+  void blend(const Tile& tile, const Rows& rows, const Directions& directions) {
     uint32_t live = live_blocks(transmittance);
-    ChunkTangents<K> tangents;
+    const float* of_chunk[CHUNK];
     each_chunk<0>(tile, live, [&](const Chunk& chunk, const uint64_t* touching, int first_pair) {
-      tangents.gather(input, tile, first_pair, chunk.size, directions);
+      for (int i = 0; i < chunk.size; ++i) {
+        of_chunk[i] = rows.channels(tile.splats[tile.pairs[first_pair + i].splat].row);
+        rows.prefetch(of_chunk[i]);
+      }
       for (int b = 0; b < BLOCKS; ++b) {
         if (!(live >> b & 1) || !touching[b]) continue;
         Steps list;
-        if (!weigh(chunk, touching[b], b, tile, list)) live &= ~(1u << b);
-        for (int k = 0; k < directions.count; ++k) push(chunk, tangents, list, b, k, tile, directions.part.size);
+        if (!weigh(chunk, of_chunk, touching[b], b, tile, list)) live &= ~(1u << b);
+        int k = 0;
+        if constexpr (K >= DIRECTIONS_AT_ONCE) {
+          for (; k + DIRECTIONS_AT_ONCE <= directions.count; k += DIRECTIONS_AT_ONCE) {
+            push<DIRECTIONS_AT_ONCE>(rows, list, b, k, directions);
+          }
+        }
+        for (; k < directions.count; ++k) push<1>(rows, list, b, k, directions);
       }
     });
   }
 
  private:
-  bool weigh(const Chunk& chunk, uint64_t touching, int b, const Tile& tile, Steps& list) {
+  bool weigh(const Chunk& chunk, const float* const* rows, uint64_t touching, int b, const Tile& tile, Steps& list) {
     const PixelCentres centres;
     const Lanes x = centres.x + broadcast(tile.left + block_left(b)), y = centres.y + broadcast(tile.top + block_top(b));
     const Lanes before = load(transmittance[b]), scale = broadcast(1 / ROOT_HALF_LOG2_E);
     Mask alive = broadcast(0) <= before;
     Lanes T = max(before, broadcast(0) - before);
     for (; touching; touching &= touching - 1) {
-      const int i = __builtin_ctzll(touching), k = list.count;
+      const int i = __builtin_ctzll(touching), j = list.count;
       const Blend step(chunk, i, x, y, T, alive);
       const Mask flexible = step.drawn & (step.raw <= broadcast(MAX_ALPHA));
-      store(list.weight[k], step.weight);
-      store(list.free[k], or_zero(flexible, broadcast(1)));
-      store(list.odds[k], or_zero(flexible, step.alpha * reciprocal(broadcast(1) - step.alpha)));
-      store(list.t[k], or_zero(flexible, step.t * scale)), store(list.s[k], or_zero(flexible, step.s * scale));
-      list.splat[k] = i;
+      const Lanes dx = x - broadcast(chunk.x[i]), dy = y - broadcast(chunk.y[i]);
+      const Lanes t = or_zero(flexible, step.t * scale), s = or_zero(flexible, step.s * scale);
+      const Lanes factors[SHAPE] = {or_zero(flexible, broadcast(1)), t * dx, t * dy, s * dy, t, s};
+      for (int m = 0; m < SHAPE; ++m) store(list.factors[j][m], factors[m]);
+      store(list.weight[j], step.weight);
+      store(list.odds[j], or_zero(flexible, step.alpha * reciprocal(broadcast(1) - step.alpha)));
+      list.rows[j] = rows[i];
       list.count += any(step.drawn);
       T = step.after, alive = step.alive;
       if (!any(alive)) break;
@@ -105,62 +150,77 @@ struct TileTangent {
     return any(alive);
   }
 
-  // Adds the derivative along direction k: of a weight T alpha, T alpha (dT / T + dalpha / alpha).
-  void push(const Chunk& chunk, const ChunkTangents<K>& tangents, const Steps& list, int b, int k, const Tile& tile,
-            int channel_count) {
-    const PixelCentres centres;
-    const Lanes x = centres.x + broadcast(tile.left + block_left(b)), y = centres.y + broadcast(tile.top + block_top(b));
-    alignas(64) float d_weights[CHUNK][LANES];
-    Lanes log_T = load(logs[k][b]);
-    for (int j = 0; j < list.count; ++j) {
-      const int i = list.splat[j];
-      const ShapeTangent& shape = tangents.shapes[k][i];
-      const Lanes dx = x - broadcast(chunk.x[i]), dy = y - broadcast(chunk.y[i]);
-      const Lanes dt = multiply_add(broadcast(shape.du), dx, multiply_add(broadcast(shape.dv), dy, broadcast(shape.t)));
-      const Lanes ds = multiply_add(broadcast(shape.dw), dy, broadcast(shape.s));
-      const Lanes log_alpha = multiply_subtract_from(
-          load(list.t[j]), dt, multiply_subtract_from(load(list.s[j]), ds, load(list.free[j]) * broadcast(shape.level)));
-      store(d_weights[j], load(list.weight[j]) * (log_T + log_alpha));
-      log_T = multiply_subtract_from(load(list.odds[j]), log_alpha, log_T);
-    }
-    store(logs[k][b], log_T);
-    for (int c = 0; c < channel_count; c += 4) add(tangents, list, d_weights, c, k, sums[k][b] + c);
+  // Adds the derivatives along D directions from k on.
+  template <int D>
+  void push(const Rows& rows, const Steps& list, int b, int k, const Directions& directions) {
+    alignas(64) float d_weights[D][CHUNK][LANES];  // for further channels
+    if (directions.channels() == 3) return add<D, 3, true>(rows, list, b, k, 0, d_weights);
+    add<D, GROUP, true>(rows, list, b, k, 0, d_weights);
+    for (int c = GROUP; c < directions.part.size; c += GROUP) add<D, GROUP, false>(rows, list, b, k, c, d_weights);
   }
 
-  static void add(const ChunkTangents<K>& tangents, const Steps& list, const float (*d_weights)[LANES], int first, int k,
-                  float (*to)[LANES]) {
-    Lanes sum[4];
-    for (int c = 0; c < 4; ++c) sum[c] = load(to[c]);
+  // Adds C channels, and if they are the first ones, finds the derivatives of the weights: of a weight T alpha,
+  // T alpha (dT / T + dalpha / alpha).
+  template <int D, int C, bool FIRST>
+  SPLATAX_INLINE void add(const Rows& rows, const Steps& list, int b, int k, int first, float (*d_weights)[CHUNK][LANES]) {
+    Lanes log_T[D], sum[D][C];
+    for (int d = 0; d < D; ++d) {
+      log_T[d] = load(logs[b][k + d]);
+      for (int c = 0; c < C; ++c) sum[d][c] = load(sums[b][k + d][first + c]);
+    }
     for (int j = 0; j < list.count; ++j) {
-      const float* channels = tangents.channels.rows[list.splat[j]] + first;
-      const float* moving = tangents.d_channels[k].rows[list.splat[j]] + first;
-      const Lanes weight = load(list.weight[j]), d_weight = load(d_weights[j]);
+      const Lanes weight = load(list.weight[j]), odds = load(list.odds[j]);
+      Lanes factors[SHAPE];
+      for (int m = 0; m < SHAPE; ++m) factors[m] = load(list.factors[j][m]);
+      const float* channels = list.rows[j];
+#pragma GCC unroll 3
+      for (int d = 0; d < D; ++d) {
+        const float* shape = rows.shape(channels, k + d);
+        Lanes d_weight;
+        if constexpr (FIRST) {
+          Lanes log_alpha = factors[0] * broadcast(shape[0]);
+#pragma GCC unroll 6
+          for (int m = 1; m < SHAPE; ++m) log_alpha = multiply_add(factors[m], broadcast(shape[m]), log_alpha);
+          d_weight = weight * (log_T[d] + log_alpha);
+          log_T[d] = multiply_subtract_from(odds, log_alpha, log_T[d]);
+          if constexpr (W > GROUP) store(d_weights[d][j], d_weight);
+        } else {
+          d_weight = load(d_weights[d][j]);
+        }
+        const float* moving = shape + SHAPE + first;
 #pragma GCC unroll 4
-      for (int c = 0; c < 4; ++c) {
-        sum[c] = multiply_add(d_weight, broadcast(channels[c]), multiply_add(weight, broadcast(moving[c]), sum[c]));
+        for (int c = 0; c < C; ++c) {
+          sum[d][c] =
+              multiply_add(d_weight, broadcast(channels[first + c]), multiply_add(weight, broadcast(moving[c]), sum[d][c]));
+        }
       }
     }
-    for (int c = 0; c < 4; ++c) store(to[c], sum[c]);
+    for (int d = 0; d < D; ++d) {
+      store(logs[b][k + d], log_T[d]);
+      for (int c = 0; c < C; ++c) store(sums[b][k + d][first + c], sum[d][c]);
+    }
   }
 };
 
-template <int K>
+template <int K, int W>
 void push_part(const Input& input, const Directions& directions, Workers& workers, Scratch& scratch) {
   const Part part = directions.part;
-  TileStates<TileTangent<K>> states(scratch.binning, scratch);
+  const Rows rows(input, directions, workers, scratch.partial_sums);
+  TileStates<TileTangent<K, W>> states(scratch.binning, scratch);
   each_round(scratch.binning, workers, [&](const Round& round) {
-    states.each_tile(workers, [&](const Tile& tile, TileTangent<K>& state) {
-      if (round.begin == 0) state.clear(input, tile);
-      state.blend(input, tile, directions);
+    states.each_tile(workers, [&](const Tile& tile, TileTangent<K, W>& state) {
+      if (round.begin == 0) state.clear(input, tile, directions.channels());
+      state.blend(tile, rows, directions);
       if (round.end < scratch.binning.visible) return;
-      each_pixel(input, tile, [&](int b, int lane, size_t pixel) {
-        const float T = std::abs(state.transmittance[b][lane]);
-        for (int k = 0; k < directions.count; ++k) {
-          float* sums = directions.of[k].sums + pixel * input.channel_count + part.first;
-          for (int c = 0; c < part.size; ++c) sums[c] = state.sums[k][b][c][lane];
-          if (part.first == 0) directions.of[k].alpha[pixel] = -T * state.logs[k][b][lane];  // alpha is 1 - T
-        }
-      });
+      for (int k = 0; k < directions.count; ++k) {
+        const Direction2d to = directions.of[k];
+        const size_t stride = input.channel_count, first = part.first, size = part.size;
+        each_pixel(input, tile, [&, to, stride, first, size](int b, int lane, size_t pixel) {
+          float* sums = to.sums + pixel * stride + first;
+          for (size_t c = 0; c < size; ++c) sums[c] = state.sums[b][k][c][lane];
+          if (first == 0) to.alpha[pixel] = -std::abs(state.transmittance[b][lane]) * state.logs[b][k][lane];  // 1 - T
+        });
+      }
     });
   });
 }
@@ -177,7 +237,10 @@ void rasterize_tangent(const Input& input, const Direction2d* directions, int co
     do {
       part.size = std::min(NARROW_WALK, input.channel_count - part.first);
       const Directions some{directions + first, std::min(together, count - first), part};
-      (some.count == 1 ? push_part<1> : push_part<MOST_DIRECTIONS>)(input, some, workers, scratch);
+      const bool few = part.size <= GROUP;
+      const auto push = some.count == 1 ? (few ? push_part<1, GROUP> : push_part<1, NARROW_WALK>)
+                                        : (few ? push_part<MOST_DIRECTIONS, GROUP> : push_part<MOST_DIRECTIONS, NARROW_WALK>);
+      push(input, some, workers, scratch);
       part.first += NARROW_WALK;
     } while (part.first < input.channel_count);
   }

@@ -9,12 +9,13 @@
 namespace splatax {
 
 // Calls body(view, workers, scratch) for each view. Views are drawn side by side, each by one thread, as long as there
-// are enough for all threads; the last ones are drawn one after the other, each by all threads.
-template <class Body>
-void each_view(int views, Workers& workers, Scratch& scratch, const Body& body) {
+// are enough for all threads; the last ones are drawn one after the other, each by all threads. Memory has the
+// memories of its `threads`.
+template <class Memory, class Body>
+void each_view(int views, Workers& workers, Memory& scratch, const Body& body) {
   const int threads = workers.count(), together = threads > 1 ? views / threads * threads : 0;
   if (together > 0) {
-    while (static_cast<int>(scratch.threads.size()) < threads) scratch.threads.push_back(std::make_unique<Scratch>());
+    while (static_cast<int>(scratch.threads.size()) < threads) scratch.threads.push_back(std::make_unique<Memory>());
     std::atomic<int> next{0};
     std::atomic<bool> failed{false};
     workers.each(threads, [&](int thread) {

@@ -104,7 +104,7 @@ inline int64_t pairs_in_round(const Input& input, int64_t max_pairs) {
 
 // Channels of each walk: wide if there are few pairs, because each of them has a partial gradient for each channel.
 inline int walk_width(const Input& input, const Binning& binning, int64_t max_pairs) {
-  const bool few = binning.rounds.size() == 1 && binning.pairs_at_most <= max_pairs / 8;
+  const bool few = binning.rounds.size() == 1 && binning.pairs_at_most <= max_pairs / Binning::FEW;
   return few && input.channel_count > NARROW_WALK ? WIDE_WALK : NARROW_WALK;
 }
 

@@ -39,12 +39,13 @@ class Drawn(NamedTuple):
     sums: Float[Array, "h w c"] | None  # of weight times channel
     alpha: Float[Array, "h w"] | None
     selection: Selection | None
-    seen: Seen
+    seen: Seen | None  # None if the image was drawn without splats
     background: BackgroundArray
 
     @property
     def splats(self) -> Splats:
         """The splats of the view."""
+        assert self.seen is not None
         return self.seen.splats
 
 
@@ -58,13 +59,13 @@ def unrolled(seen: Seen) -> Seen:
     )
 
 
-def scene_of(seen: Seen, output: str) -> tuple[Gaussians, Camera]:
+def scene_of(seen: Seen | None, output: str) -> tuple[Gaussians, Camera]:
     """Returns the scene and the camera of a view.
 
     Raises:
         ValueError: naming the output, if there are only splats.
     """
-    if seen.gaussians is None or seen.camera is None:
+    if seen is None or seen.gaussians is None or seen.camera is None:
         raise ValueError(
             f"output {output!r} needs the scene and its camera: use render instead of rasterize."
         )

@@ -61,11 +61,7 @@ class Ewa:
         self, camera: Camera, mean: Float[Array, "3"], point: Float[Array, "3"], spread: Float[Array, "3 3"]
     ) -> Footprint:
         """Returns the image of the Gaussian under the tangent of the camera at its mean."""
-        size = jnp.array([camera.width, camera.height], point.dtype)
-        margin = FRUSTUM_MARGIN * 0.5 * size
-        low = -(camera.center + margin) / camera.focal
-        high = (size - camera.center + margin) / camera.focal
-        near = camera.lens.linearized_at(point, low, high)
+        near = camera.lens.linearized_at(point, *visible_plane(camera))
         lens = jax.jacfwd(camera.lens.project)(near) * camera.focal[:, None]
         world = camera.rotation if camera.motion is None else jax.jacfwd(camera.to_camera)(mean)
         rows = lens @ world @ spread
@@ -106,6 +102,14 @@ class Unscented:
         center = first * pixels[0] + other * jnp.sum(pixels[1:], axis=0)
         weights = jnp.full(7, other, pixels.dtype).at[0].set(first + 1 - self.alpha**2 + self.beta)
         return Footprint(center, (pixels - center[None]).T, weights, seen)
+
+
+def visible_plane(camera: Camera) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
+    """Returns the left top and right bottom corners, on the image plane, of the image and its margin."""
+    size = jnp.array([camera.width, camera.height], camera.fx.dtype)
+    margin = FRUSTUM_MARGIN * 0.5 * size
+    low = -(camera.center + margin) / camera.focal
+    return low, (size - camera.center + margin) / camera.focal
 
 
 EWA = Ewa()

@@ -22,6 +22,7 @@ from splatax.drawn import unrolled
 from splatax.footprints import EWA, Method
 from splatax.low_pass import LowPass
 from splatax.outputs import (
+    OUTPUTS,
     STANDARD,
     BackgroundArray,
     Drawn,
@@ -36,13 +37,14 @@ from splatax.shapes import check_arrays
 from splatax.sky import Surroundings
 from splatax.splats import Splats
 from splatax.stages import composite as composite
-from splatax.stages import dtype_of
+from splatax.stages import draw, dtype_of
 from splatax.stages import project as project
 from splatax.stages import select as select
 from splatax.varying import vary_together
 
 BLACK = np.zeros(3, np.float32)
 WHITE = np.ones(3, np.float32)
+BLENDED = tuple(OUTPUTS[name] for name in ("rgb", "alpha", "depth"))  # outputs that `draw` suffices for
 
 Source = tuple[Drawable, Camera] | None  # None where splats are drawn by themselves
 Features = Mapping[str, Float[Array, "n _"]]
@@ -84,6 +86,12 @@ class Renderer:
         scene = seen.checked(scene)
         first, *_ = seen.means_of(scene).values()
         kernels = backends.resolve(self.backend, dtype_of(first))
+        wanted = [output for _, output in requested]
+        if OUTPUTS["rgb"] in wanted and not features and all(output in BLENDED for output in wanted):
+            depths = OUTPUTS["depth"] in wanted
+            image = draw(scene, camera, depths, self.low_pass, kernels, self.projection)
+            if image is not None:
+                return _named(image, _checked(self.behind(camera), camera, image[1].dtype), requested)
         splats = project(scene, camera, low_pass=self.low_pass, backend=kernels, projection=self.projection)
         return _draw(splats, (scene, camera), self.behind(camera), features or {}, requested, kernels)
 
@@ -163,13 +171,39 @@ def _draw(
     named = {f"features[{name!r}]": (values, "n f") for name, values in features.items()}
     for name, values in named.items():  # each has a width of its own
         check_arrays("Splats", {"means2d": (splats.means2d, "n 2"), name: values})
-    behind = jnp.asarray(background, splats.means2d.dtype)
-    if behind.shape not in ((3,), (splats.height, splats.width, 3)):
+    behind = _checked(background, splats, splats.means2d.dtype)
+    return _finish(splats, source, behind, dict(features), requested, kernels)
+
+
+def _checked(background: BackgroundLike, image: Camera | Splats, dtype: jnp.dtype) -> BackgroundArray:
+    """Returns a background as an array.
+
+    Raises:
+        ValueError: if it is neither one colour nor one for each pixel.
+    """
+    behind = jnp.asarray(background, dtype)
+    if behind.shape not in ((3,), (image.height, image.width, 3)):
         raise ValueError(
             f"background has shape {behind.shape}. Give one colour, (3,), or one for each pixel, "
-            f"{(splats.height, splats.width, 3)}."
+            f"{(image.height, image.width, 3)}."
         )
-    return _finish(splats, source, behind, dict(features), requested, kernels)
+    return behind
+
+
+@partial(jax.jit, static_argnames="requested")
+def _named(
+    image: tuple[Float[Array, "h w c"], Float[Array, "h w"]],
+    background: BackgroundArray,
+    requested: tuple[tuple[str, Output], ...],
+) -> Rendering:
+    """Returns requested outputs of `BLENDED`, from the sums of colours and depths, and alpha."""
+    (sums, alpha), background = vary_together(image, background)
+
+    def drawn(output: Output) -> Drawn:
+        own = sums[..., 3:] if output == OUTPUTS["depth"] else sums[..., :3]
+        return Drawn(own, alpha, None, None, background)
+
+    return Rendering({name: output.finish(drawn(output)) for name, output in requested}, {})
 
 
 @partial(jax.jit, static_argnames=("requested", "kernels"))

@@ -12,6 +12,7 @@ from splatax import splats as views
 from splatax.backends.protocol import MOST_SELECTED, Kernels, Selection
 from splatax.cameras import Camera
 from splatax.footprints import EWA, Method
+from splatax.gaussians import Gaussians
 from splatax.low_pass import LowPass
 from splatax.scene import Drawable, seen
 from splatax.shapes import check_dtypes
@@ -65,6 +66,50 @@ def _project(
             for gaussians, own in seen.seen_from(scene, camera)
         ]
     )
+
+
+def draw(
+    scene: Drawable,
+    camera: Camera,
+    depths: bool,
+    low_pass: LowPass | None,
+    kernels: Kernels,
+    projection: Method,
+) -> tuple[Float[Array, "h w c"], Float[Array, "h w"]] | None:
+    """Projects and blends colours at once, where the backend has a kernel for it.
+
+    Args:
+        scene: a checked scene.
+        camera: the view.
+        depths: whether depths are blended too, as a fourth channel.
+        low_pass: see `render`.
+        kernels: the backend.
+        projection: see `render`.
+
+    Returns:
+        The sums over splats of weight times channel, and alpha; None if the backend has no such kernel for
+        this scene and camera.
+
+    Raises:
+        ValueError: if the camera is malformed.
+    """
+    if not isinstance(scene, Gaussians) or len(scene) == 0:
+        return None
+    cameras.checked(camera)
+    check_dtypes("Gaussians and Camera", {"means": scene.means, "cam_from_world": camera.cam_from_world})
+    if kernels.at_once(camera, projection) is None:
+        return None
+    return _draw(scene, camera, depths, low_pass or scene.low_pass, kernels, projection)
+
+
+@partial(jax.jit, static_argnames=("depths", "low_pass", "kernels", "projection"))
+def _draw(
+    scene: Gaussians, camera: Camera, depths: bool, low_pass: LowPass, kernels: Kernels, projection: Method
+) -> tuple[Float[Array, "h w c"], Float[Array, "h w"]]:
+    kernel = kernels.at_once(camera, projection)
+    assert kernel is not None
+    scene, camera = vary_together(scene, camera)
+    return kernel(scene, camera, low_pass, depths)
 
 
 def select(splats: Splats, count: int, *, backend: str | Kernels = backends.AUTO) -> Selection:

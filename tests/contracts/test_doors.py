@@ -19,6 +19,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scenes import camera_at, random_gaussians, random_splats
 from splatax import backends
 from splatax.backends import cpu
+from splatax.cameras import lenses
 from splatax.losses import Photometric
 from splatax.low_pass import Antialiasing, Dilation
 from splatax.rendering import Renderer, composite, project, rasterize, render, select
@@ -239,6 +240,12 @@ def recorded_calls():
         jax.grad(lambda x: cpu.BEST.photometric(x, photo, 0.2))(photo + 0.5)
         select(SPLATS, 3, backend="cpu")
         jax.jvp(lambda c: composite(SPLATS, c, backend="cpu")[0], (SPLATS.colors,), (SPLATS.colors,))
+        for lens in (lenses.Pinhole(), lenses.opencv(0.1), lenses.Fisheye(jnp.zeros(4))):
+            point = GAUSSIANS, replace(CAMERA, lens=lens)
+            jax.jvp(lambda g, c: project(g, c, backend="cpu"), point, point)
+        two = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), CAMERA)
+        views = jax.vmap(lambda g, c: render(g, c, backend="cpu").rgb, (None, 0))
+        jax.grad(lambda g: views(g, two).sum())(GAUSSIANS)
     return calls
 
 
@@ -261,11 +268,14 @@ def test_every_native_kernel_and_its_gradient_is_among_the_calls():
     assert {call[0].removeprefix("splatax_") for call in CALLS} == {
         "project_forward",
         "project_backward",
+        "project_tangent",
         "rasterize_forward",
         "rasterize_backward",
         "rasterize_tangent",
         "select",
         "photometric",
+        "scene_forward",
+        "scene_backward",
     }
 
 
@@ -284,8 +294,13 @@ def test_cpu_handlers_refuse_what_does_not_fit(data):
             wrong = data.draw(wrong_shapes(right.shape))
             if wrong == (1, *right.shape[1:]) and right.shape[:1] == (2,):
                 return  # shared by the views of a batch
-            if symbol == "splatax_project_forward" and wrong[-3:] in {(N, k * k, 3) for k in range(1, 6)}:
+            degrees = {(N, k * k, 3) for k in range(1, 6)}
+            if symbol in ("splatax_project_forward", "splatax_scene_forward") and wrong[-3:] in degrees:
                 return  # SH of another degree
+            leading = right.shape[: arrays[0].ndim - 2]
+            still = (*leading, 0, *right.shape[len(leading) + 1 :])
+            if symbol == "splatax_project_tangent" and place >= 7 and wrong == still:
+                return  # the tangent of what does not move
             arrays[place] = np.ones(wrong, right.dtype)
     else:
         right = shapes[place - len(arrays)]
@@ -293,6 +308,8 @@ def test_cpu_handlers_refuse_what_does_not_fit(data):
         wrong = data.draw(wrong_shapes(shape))
         if symbol == "splatax_rasterize_backward" and 0 in wrong and place == len(arrays) + 4:
             return  # an empty gradient of `pull`: not asked for
+        if symbol == "splatax_scene_forward" and wrong == (2, *SIZE[::-1], 4):
+            return  # with depths
         shapes[place - len(arrays)] = jax.ShapeDtypeStruct(wrong, dtype)
     with pytest.raises((jax.errors.JaxRuntimeError, ValueError), match="INVALID_ARGUMENT"):
         jax.block_until_ready(cpu.Build().call(symbol, shapes, [jnp.asarray(a) for a in arrays], **options))
@@ -304,8 +321,11 @@ def test_cpu_handlers_refuse_what_does_not_fit(data):
     [
         ("splatax_project_forward", "width", 0),
         ("splatax_project_forward", "height", 2**40),
+        ("splatax_project_tangent", "width", 0),
         ("splatax_rasterize_forward", "max_pairs", 0),
         ("splatax_rasterize_backward", "max_pairs", -1),
+        ("splatax_scene_forward", "max_pairs", 0),
+        ("splatax_scene_backward", "max_pairs", 2**40),
     ],
 )
 def test_cpu_handlers_refuse_options_out_of_range(symbol, option, value):

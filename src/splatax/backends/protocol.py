@@ -35,6 +35,37 @@ class Composite(Protocol):
         ...
 
 
+@runtime_checkable
+class Draw(Protocol):
+    """Both halves of the pipeline at once, for colour and depth: faster for a batch of views of one scene.
+
+    It stands for a projection and a rasterizer, and draws what they draw.
+    """
+
+    @property
+    def project(self) -> Project:
+        """The projection that it stands for."""
+        ...
+
+    @property
+    def composite(self) -> Composite:
+        """The rasterizer that it stands for."""
+        ...
+
+    def fits(self, camera: Camera, method: Method) -> bool:
+        """Returns whether it draws what such a camera sees."""
+        ...
+
+    def __call__(
+        self, gaussians: Gaussians, camera: Camera, low_pass: LowPass, depths: bool
+    ) -> tuple[Float[Array, "h w c"], Float[Array, "h w"]]:
+        """Returns the sums of weight times colour, and times depth if asked for, and alpha.
+
+        There is at least one Gaussian, and the camera fits.
+        """
+        ...
+
+
 MOST_SELECTED = 64  # splats at a pixel that `select` finds; as in native/cpu/select.h
 
 
@@ -95,6 +126,8 @@ class Kernels:
         photometric: the loss.
         why_unavailable: returns the reason why the kernels cannot run on this machine, or None if they can.
         dtypes: the names of the dtypes that all of the kernels compute in.
+        draw: both halves at once; None if the backend has only the two. It is used while it stands for
+            `project` and `composite`, so that kernels of your own in their place are not passed over.
     """
 
     name: str
@@ -104,3 +137,11 @@ class Kernels:
     photometric: Photometric
     why_unavailable: Callable[[], str | None] = runs_everywhere
     dtypes: tuple[str, ...] = ("float32", "float64")
+    draw: Draw | None = None
+
+    def at_once(self, camera: Camera, method: Method) -> Draw | None:
+        """Returns the kernel that draws what a camera sees at once; None if two kernels must do it."""
+        draw = self.draw
+        if draw is None or (draw.project, draw.composite) != (self.project, self.composite):
+            return None
+        return draw if draw.fits(camera, method) else None

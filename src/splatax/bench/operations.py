@@ -108,21 +108,25 @@ def features(scene: Scene, backend: str) -> dict[str, Operation]:
 
 
 def batches(scene: Scene, backend: str) -> dict[str, Operation]:
-    """Returns operations that render 64 small views at once: forward, and with the gradient of the scene."""
-    shifts = jnp.linspace(-0.02, 0.02, VIEWS)
-    small = scene.camera.resized(*SMALL)
+    """Returns operations that render 64 small views at once: forward, and with the gradient of the scene.
 
-    def view(gaussians, shift):
-        camera = replace(small, cam_from_world=small.cam_from_world.at[0, 3].add(shift))
-        return render(gaussians, camera, outputs=("rgb",), backend=backend).rgb
+    Each view sees another quarter of what the scene's camera sees.
+    """
+    small = scene.camera.resized(*SMALL)
+    corners = jnp.asarray(np.random.default_rng(0).uniform(size=(VIEWS, 2)) * SMALL, jnp.float32)
+
+    def view(gaussians, corner):
+        x, y = corner
+        nearer = replace(small, fx=2 * small.fx, fy=2 * small.fy, cx=2 * small.cx - x, cy=2 * small.cy - y)
+        return render(gaussians, nearer, outputs=("rgb",), backend=backend).rgb
 
     def total(gaussians):
-        return jnp.sum(jnp.square(jax.vmap(view, (None, 0))(gaussians, shifts)))
+        return jnp.sum(jnp.square(jax.vmap(view, (None, 0))(gaussians, corners)))
 
     forward, gradient = jax.jit(jax.vmap(view, (None, 0))), jax.jit(jax.grad(total))
     name = f"{VIEWS} views"
     return {
-        name: lambda: forward(scene.gaussians, shifts),
+        name: lambda: forward(scene.gaussians, corners),
         f"{name}{BACKWARD}": lambda: gradient(scene.gaussians),
     }
 

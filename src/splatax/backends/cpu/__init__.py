@@ -5,12 +5,13 @@ Results do not depend on the number of threads. Single precision only.
 
 from functools import partial
 
-from splatax.backends import fused_loss, pinholes
+from splatax.backends import fused_loss, projection_kernels
 from splatax.backends.cpu import library
 from splatax.backends.cpu.composite import MAX_PAIRS, composite, select
 from splatax.backends.cpu.library import ALL_THREADS, Build
 from splatax.backends.cpu.photometric import with_gradient
-from splatax.backends.cpu.projection import NativeProjection
+from splatax.backends.cpu.projection import projections
+from splatax.backends.cpu.views import NativeDrawing
 from splatax.backends.protocol import Kernels
 
 
@@ -25,14 +26,17 @@ def kernels(
         max_pairs: the number of (splat, tile) pairs that are listed at a time.
     """
     build = Build(instructions, threads)
+    projection = partial(projection_kernels.project, kernels=projections(build))
+    rasterizer = partial(composite, build=build, max_pairs=max_pairs)
     return Kernels(
         name="cpu" if instructions is None else f"cpu-{instructions}",
-        project=partial(pinholes.project, kernel=NativeProjection(build)),
-        composite=partial(composite, build=build, max_pairs=max_pairs),
+        project=projection,
+        composite=rasterizer,
         select=partial(select, build=build, max_pairs=max_pairs),
         photometric=partial(fused_loss.photometric, kernel=partial(with_gradient, build=build)),
         why_unavailable=partial(library.why_unavailable, instructions),
         dtypes=("float32",),
+        draw=NativeDrawing(build, max_pairs, projection, rasterizer),
     )
 
 

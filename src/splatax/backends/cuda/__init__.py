@@ -8,7 +8,7 @@ the CPU, where the same handlers and kernels run under an emulation.
 from collections.abc import Callable
 from functools import partial
 
-from splatax.backends import fused_loss, pinholes
+from splatax.backends import fused_loss, projection_kernels
 from splatax.backends.cuda import nvidia
 from splatax.backends.cuda.composite import MAX_PAIRS, composite
 from splatax.backends.cuda.library import Library
@@ -16,6 +16,7 @@ from splatax.backends.cuda.photometric import with_gradient
 from splatax.backends.cuda.projection import GpuProjection
 from splatax.backends.portable.select import select
 from splatax.backends.protocol import Kernels
+from splatax.cameras.lenses import Pinhole
 
 
 def kernels(
@@ -34,7 +35,7 @@ def kernels(
     """
     return Kernels(
         name=name,
-        project=partial(pinholes.project, kernel=GpuProjection(library)),
+        project=partial(projection_kernels.project, kernels={Pinhole: GpuProjection(library)}),
         composite=partial(composite, library=library, max_pairs=max_pairs),
         select=select,
         photometric=partial(fused_loss.photometric, kernel=partial(with_gradient, library=library)),

@@ -1,4 +1,4 @@
-"""EWA projection on the GPU; see `splatax.backends.pinholes` for its derivatives."""
+"""EWA projection on the GPU; see `splatax.backends.projection_kernels` for its derivatives."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from jaxtyping import Array
 
 from splatax.backends.cuda.library import Library
 from splatax.backends.foreign import Shape
-from splatax.backends.pinholes import Options
+from splatax.backends.projection_kernels import Options
 
 
 @dataclass(frozen=True)
@@ -25,3 +25,6 @@ class GpuProjection:
     def gradient(self, shapes: Sequence[Shape], arrays: Sequence[Array], options: Options) -> Sequence[Array]:
         """Returns the gradients of the scene and the camera."""
         return self.library.call("splatax_cuda_project_gradient", shapes, arrays, **options)
+
+    def tangent(self, shapes: Sequence[Shape], arrays: Sequence[Array], options: Options) -> None:
+        """Returns None: plain JAX finds tangents."""

@@ -1,39 +1,43 @@
-"""Projection by foreign kernels that know only pinholes: their inputs, and their derivatives in both modes.
+"""Foreign projections: their inputs, and their derivatives in both modes.
 
-The kernels serve cameras that do not move, by EWA; the portable projection serves all others. Gradients are
-the kernels' own. Forward mode and second derivatives come from the portable projection, which JAX
-differentiates.
+A kernel serves one kind of lens, for cameras that do not move, by EWA; the portable projection serves all
+others. Gradients, and tangents where the kernel has them, are the kernel's own. Second derivatives come from
+the portable projection, which JAX differentiates.
 """
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
 from splatax import projection
 from splatax.backends.foreign import Shape
 from splatax.backends.linear import Batched, Dims, linear_call
 from splatax.cameras import Camera
-from splatax.cameras.lenses import Pinhole
-from splatax.footprints import EWA, Method
+from splatax.cameras.lenses import OpenCV
+from splatax.cameras.lenses.distortion import Distorted
+from splatax.footprints import EWA, Method, visible_plane
 from splatax.gaussians import Gaussians
 from splatax.low_pass import Antialiasing, LowPass
 from splatax.splats import Splats
 
 FIELDS = ("means", "quats", "log_scales", "opacity_logits", "sh")  # in the order of the kernels
 RESIDUALS = jax.tree.structure(((0,) * len(FIELDS), 0, 0))
-PackedCamera = Float[Array, "19"]  # fx, fy, cx, cy, rotation by rows, translation, position
+POSE_END = 19  # numbers of a camera before those of its lens
+PackedCamera = Float[Array, " k"]  # fx, fy, cx, cy, rotation by rows, translation, position; then the lens's
 Options = Mapping[str, np.int64 | np.float32]
 
 
 @runtime_checkable
 class Kernel(Protocol):
-    """A foreign projection and its gradient. It must be hashable."""
+    """A foreign projection through one kind of lens, and its derivatives. It must be hashable."""
 
     @property
     def shares_scenes(self) -> bool:
@@ -48,6 +52,34 @@ class Kernel(Protocol):
         """Returns the gradients of the scene's arrays and of the packed camera."""
         ...
 
+    def tangent(
+        self, shapes: Sequence[Shape], arrays: Sequence[Array], options: Options
+    ) -> Sequence[Array] | None:
+        """Returns the tangents of the differentiable arrays of `Splats`, or None if plain JAX finds them.
+
+        The tangents of inputs that do not move have no rows.
+        """
+        ...
+
+
+ProjectionKernels = Mapping[type, Kernel]  # by kind of lens
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Boxed(OpenCV):
+    """OpenCV's lens with the box of slopes that was found for a camera.
+
+    Attributes:
+        corners: lowest and highest slopes at which the Jacobian is taken.
+    """
+
+    corners: Float[Array, "2 2"]
+
+    def box(self, low: Float[Array, "2"], high: Float[Array, "2"]) -> tuple[Array, Array]:
+        """Returns the box that was found."""
+        return self.corners[0], self.corners[1]
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -57,12 +89,16 @@ class Settings:
         kernel: the foreign functions.
         width, height: of the image, pixels.
         low_pass: the filter.
+        lens: pytree structure of the lens.
+        shapes: of the lens's arrays.
     """
 
     kernel: Kernel
     width: int
     height: int
     low_pass: LowPass
+    lens: Any
+    shapes: tuple[tuple[int, ...], ...]
 
     @property
     def options(self) -> Options:
@@ -76,36 +112,87 @@ class Settings:
             "least_fade": np.float32(self.low_pass.floor if isinstance(self.low_pass, Antialiasing) else 0),
         }
 
+    def camera(self, numbers: PackedCamera) -> Camera:
+        """Returns the camera of packed numbers; the inverse of `packed`."""
+        fx, fy, cx, cy = numbers[:4]
+        pose = jnp.eye(4, dtype=numbers.dtype).at[:3, :3].set(numbers[4:13].reshape(3, 3))
+        pose = pose.at[:3, 3].set(numbers[13:16])
+        ends = np.cumsum([POSE_END, *(math.prod(shape) for shape in self.shapes)])
+        parts = [
+            numbers[start:end].reshape(shape)
+            for start, end, shape in zip(ends[:-1], ends[1:], self.shapes, strict=True)
+        ]
+        lens = jax.tree.unflatten(self.lens, parts)
+        if isinstance(lens, OpenCV):
+            own = {field.name: getattr(lens, field.name) for field in fields(lens)}
+            lens = Boxed(**own, corners=numbers[ends[-1] + 1 :].reshape(2, 2))
+        return Camera(fx, fy, cx, cy, pose, self.width, self.height, lens)
+
     def portable(self, arrays: tuple[Array, ...], camera: PackedCamera) -> tuple[Array, ...]:
         """Returns what the kernel does, by plain JAX."""
-        fx, fy, cx, cy = camera[:4]
-        pose = jnp.eye(4, dtype=camera.dtype).at[:3, :3].set(camera[4:13].reshape(3, 3))
-        view = Camera(fx, fy, cx, cy, pose.at[:3, 3].set(camera[13:16]), self.width, self.height)
         one = partial(
-            projection.project_one, camera=view, position=camera[16:], low_pass=self.low_pass, method=EWA
+            projection.project_one,
+            camera=self.camera(camera),
+            position=camera[16:POSE_END],
+            low_pass=self.low_pass,
+            method=EWA,
         )
         rows = jax.vmap(lambda *fields: one(*fields))(*arrays)
         return tuple(rows._replace(extent=jax.lax.stop_gradient(rows.extent)))
 
 
 def project(
-    gaussians: Gaussians, camera: Camera, low_pass: LowPass, method: Method = EWA, *, kernel: Kernel
+    gaussians: Gaussians,
+    camera: Camera,
+    low_pass: LowPass,
+    method: Method = EWA,
+    *,
+    kernels: ProjectionKernels,
 ) -> Splats:
-    """Projects all Gaussians to one view. Differentiable in the Gaussians and the camera."""
-    if not (isinstance(camera.lens, Pinhole) and camera.motion is None and method == EWA):
+    """Projects all Gaussians to one view. Differentiable in the Gaussians and the camera.
+
+    Args:
+        gaussians: n Gaussians.
+        camera: of the view.
+        low_pass: filter against aliasing.
+        method: way to find footprints.
+        kernels: the foreign projections, by kind of lens.
+    """
+    kernel = kernels.get(type(camera.lens))
+    if kernel is None or camera.motion is not None or method != EWA:
         return projection.project(gaussians, camera, low_pass, method)
     arrays = tuple(getattr(gaussians, field) for field in FIELDS)
-    settings = Settings(kernel, camera.width, camera.height, low_pass)
+    leaves, lens = jax.tree.flatten(camera.lens)
+    shapes = tuple(leaf.shape for leaf in leaves)
+    settings = Settings(kernel, camera.width, camera.height, low_pass, lens, shapes)
     means2d, sqrt_conics, depths, extents, colors, opacities = _project(arrays, packed(camera), settings)
     return Splats(means2d, sqrt_conics, depths, extents, colors, opacities, camera.width, camera.height)
 
 
 def packed(camera: Camera) -> PackedCamera:
-    """Returns the numbers of a camera as one array, as `CameraField` in native/ orders them."""
+    """Returns the numbers of a camera as one array, as `CameraField` and the lenses in native/ order them."""
     numbers = (camera.fx, camera.fy, camera.cx, camera.cy)
     return jnp.concatenate(
-        [jnp.stack(numbers), jnp.ravel(camera.rotation), camera.translation, camera.position]
+        [
+            jnp.stack(numbers),
+            jnp.ravel(camera.rotation),
+            camera.translation,
+            camera.position,
+            *_lens_numbers(camera),
+        ]
     )
+
+
+def _lens_numbers(camera: Camera) -> list[Float[Array, " _"]]:
+    """Returns the coefficients of a lens, where it folds, and the box of slopes of a perspective."""
+    lens = camera.lens
+    if not isinstance(lens, Distorted):
+        return []
+    numbers = [jnp.ravel(leaf) for leaf in jax.tree.leaves(lens)]
+    numbers.append(jnp.reshape(lens.rise(camera.fx.dtype).limit, 1))
+    if isinstance(lens, OpenCV):
+        numbers += lens.box(*visible_plane(camera))
+    return numbers
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(2,))
@@ -115,25 +202,36 @@ def _project(arrays: tuple[Array, ...], camera: PackedCamera, settings: Settings
     return tuple(settings.kernel.forward(shapes, (*arrays, camera), settings.options))
 
 
-@_project.defjvp
+@partial(_project.defjvp, symbolic_zeros=True)
 def _(settings: Settings, primals, tangents):
     arrays, camera = primals
     splats = _project(arrays, camera, settings)
-    directions = (*tangents[0], tangents[1])
-    return splats, linear_call(Derivative(settings), (arrays, camera, splats[3]), directions, splats)
+    moving = tuple(not isinstance(tangent, SymbolicZero) for tangent in (*tangents[0], tangents[1]))
+    directions = tuple(
+        tangent if moves else jnp.zeros(tangent.shape, tangent.dtype)
+        for tangent, moves in zip((*tangents[0], tangents[1]), moving, strict=True)
+    )
+    return splats, linear_call(Derivative(settings, moving), (arrays, camera, splats[3]), directions, splats)
 
 
 @dataclass(frozen=True)
 class Derivative:
-    """The derivative of a projection: backward by the kernel, forward by the portable projection."""
+    """The derivative of a projection.
+
+    Attributes:
+        settings: of the projection.
+        moving: which of the Gaussians' arrays and the camera have a tangent; those of the others are zero.
+    """
 
     settings: Settings
+    moving: tuple[bool, ...]
 
     def apply(self, residuals, tangents: tuple[Array, ...]) -> tuple[Array, ...]:
         """Returns the tangents of the splats."""
-        arrays, camera, extents = residuals
-        _, found = jax.jvp(self.settings.portable, (arrays, camera), (tangents[:5], tangents[5]))
-        return _shown(extents, found)
+        chosen = tuple(
+            tangent if moves else None for tangent, moves in zip(tangents, self.moving, strict=True)
+        )
+        return _push(residuals, chosen, self.settings)
 
     def transpose(self, residuals, cotangents: tuple[Array, ...]) -> tuple[Array, ...]:
         """Returns the gradients of the Gaussians' arrays and of the camera."""
@@ -176,6 +274,47 @@ class SharedScene:
     def batched(self, size: int, residuals: Dims, tangents: Dims) -> Batched:
         """Returns the map that `jax.vmap` makes of the same derivative, camera by camera."""
         return Batched(self.each, RESIDUALS, residuals, tangents)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(2,))
+def _push(residuals, tangents: tuple[Array | None, ...], settings: Settings) -> tuple[Array, ...]:
+    """Returns the tangents of the splats; None stands for the tangent of what does not move."""
+    arrays, camera, extents = residuals
+    inputs = (*arrays, camera)
+    given = [
+        jnp.zeros((0, *array.shape[1:]), array.dtype) if tangent is None else tangent
+        for array, tangent in zip(inputs, tangents, strict=True)
+    ]
+    n = len(arrays[0])
+    shapes: list[Shape] = [(n, 2), (n, 3), (n,), (n, 3), (n,)]
+    found = settings.kernel.tangent(shapes, (*inputs, extents, *given), settings.options)
+    if found is None:
+        return _portable_push(residuals, tangents, settings)
+    means2d, sqrt_conics, depths, colors, opacities = found
+    return means2d, sqrt_conics, depths, jnp.zeros_like(extents), colors, opacities
+
+
+@_push.defjvp
+def _(settings: Settings, primals, tangents):
+    def push(residuals, directions):
+        return _portable_push(residuals, directions, settings)
+
+    return _push(*primals, settings), jax.jvp(push, primals, tangents)[1]
+
+
+def _portable_push(residuals, tangents: tuple[Array | None, ...], settings: Settings) -> tuple[Array, ...]:
+    arrays, camera, extents = residuals
+    point = (*arrays, camera)
+    moving = [i for i, tangent in enumerate(tangents) if tangent is not None]
+
+    def splats(*values):
+        inputs = list(point)
+        for i, value in zip(moving, values, strict=True):
+            inputs[i] = value
+        return settings.portable(tuple(inputs[:-1]), inputs[-1])
+
+    _, found = jax.jvp(splats, [point[i] for i in moving], [tangents[i] for i in moving])
+    return _shown(extents, found)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(2,))

@@ -8,7 +8,7 @@ import numpy as np
 import tyro
 
 import splatax as sx
-from splatax import editing, web
+from splatax import editing, sensors, web
 from splatax.cli.display import Display
 from splatax.cli.evaluate import views_of
 from splatax.cli.options import (
@@ -111,7 +111,7 @@ class Export:
             write_page(self.out, replace(model, gaussians=edited), cameras, self.title, self.background)
             say(f"loses: {web.LOSES}")
             return
-        self._save(model, edited)
+        self._save(model, edited, sensors.kept_metres(model.path, self.scale))
         if dataset:
             self._measure(model, dataset, place)
 
@@ -142,15 +142,17 @@ class Export:
         if not (0 < self.scale < np.inf and np.isfinite([*self.rotate, *self.move]).all()):
             raise InputError("--scale, --rotate, --move: must be finite numbers, and the scale above zero.")
 
-    def _save(self, model: Model, edited: sx.Gaussians) -> None:
-        """Writes a splat file. Prints its size and what is lost."""
+    def _save(self, model: Model, edited: sx.Gaussians, comments: tuple[str, ...]) -> None:
+        """Writes a splat file with comments. Prints its size and what is lost."""
         options: dict[str, Any] = {"version": self.spz_version} if self.spz_version else {}
         self.out.parent.mkdir(parents=True, exist_ok=True)
-        count = sx.save(self.out, edited, **options)
+        count = sx.save(self.out, edited, comments=comments, **options)
         before, after = model.path.stat().st_size, self.out.stat().st_size
         share = f"{before / after:.1f} x smaller" if after <= before else f"{after / before:.1f} x larger"
         say(f"{self.out}: {count:,} Gaussians, {after / 1e6:.2f} MB ({share})")
         say(f"loses: {formats.format_of(self.out).LOSES}")
+        if comments and not set(comments) <= set(formats.comments(self.out)):
+            say(f"note    {self.out.suffix} files do not keep the scale in metres")
 
     def _selected(self, model: Model, dataset: sx.Dataset | None) -> sx.Gaussians:
         gaussians = model.gaussians

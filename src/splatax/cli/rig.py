@@ -16,6 +16,7 @@ from splatax.cli.display import Display
 from splatax.cli.interruption import Interruption
 from splatax.cli.options import BackgroundOption, OverwriteFlag, shown_as
 from splatax.cli.output import say
+from splatax.dataset import mask_of
 from splatax.errors import InputError
 from splatax.io.files import write_whole
 from splatax.io.rigs import read_body, save_rigged
@@ -69,10 +70,14 @@ class RigCommand:
     def run(self) -> None:
         if self.steps < 1:
             raise InputError(f"--steps: at least 1, not {self.steps}.")
+        if self.max_gaussians is not None and self.max_gaussians < 1:
+            raise InputError(f"--max-gaussians: at least 1, not {self.max_gaussians}.")
         body = read_body(self.skeleton)
         dataset = sx.load_dataset(self.scene)
         for note in (*body.notes, *dataset.notes):
             say(f"note    {note}")
+        for view in dataset.test:  # those of training are checked as they are read
+            mask_of(view)
         posing = self._posing(body, dataset)
         most = self.max_gaussians or room_for(dataset)
         recipe = recipe_for(self.steps, most, self.seed)
@@ -145,6 +150,5 @@ def psnr_of(
             continue
         photo = np.asarray(photo_over(jnp.asarray(view.pixels()), jnp.asarray(behind)))
         drawn = np.asarray(draw(posing.poses[name], view.camera))
-        mask = None if view.mask is None else view.mask()
-        found[view.name] = metrics.psnr(metrics.to_8bit(drawn), metrics.to_8bit(photo), mask)
+        found[view.name] = metrics.psnr(metrics.to_8bit(drawn), metrics.to_8bit(photo), mask_of(view))
     return found

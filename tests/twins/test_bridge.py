@@ -2,6 +2,7 @@
 
 import copy
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -17,6 +18,13 @@ from splatax.twins.twin import _observed
 mujoco = pytest.importorskip("mujoco")
 BENT = (0.4, -0.6, 0.9, 0.5)
 SENSORS = {"rgb": Color(), "depth": Depth(), "what": Labels()}
+
+
+@pytest.fixture
+def promotion():
+    """Optax raises floats to integer powers, which JAX refuses in strict mode."""
+    with jax.numpy_dtype_promotion("standard"):
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +129,7 @@ def test_what_does_not_fit_is_refused_with_what_does(model, data, scene):
         twins.attached(scene, frames)
 
 
-def test_the_pose_of_a_part_is_found_in_a_frame_of_colour_and_depth(model, data):
+def test_the_pose_of_a_part_is_found_in_a_frame_of_colour_and_depth(model, data, promotion):
     scene = twins.frames_of(model, data, (whole := drawn_twin(model, 800)).names).place(whole)
     camera = twins.camera_of(model, data, "front", 48, 48)
     seen = sx.sensors.observe(scene, camera, {"rgb": Color(), "depth": Depth()})

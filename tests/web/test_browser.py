@@ -5,10 +5,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from screenshots import picture, psnr
 
 import splatax as sx
 from scenes import camera_at, random_gaussians
-from screenshots import picture, psnr
 from splatax import web
 
 pytestmark = pytest.mark.slow

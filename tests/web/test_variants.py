@@ -6,10 +6,10 @@ import re
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from screenshots import picture, psnr
 
 import splatax as sx
 from scenes import camera_at, random_gaussians
-from screenshots import picture, psnr
 from splatax import web
 from splatax.scene import ColorMap, Option, chosen
 from splatax.transforms import Similarity

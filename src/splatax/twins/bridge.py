@@ -108,12 +108,16 @@ def attached(scene: Scene, frames: Frames, world_from_scene: Similarity = IDENTI
         )
 
     def moved(name: str, part: Part) -> Part:
-        pose = Similarity(*(np.asarray(leaf, np.float64) for leaf in jax.tree.leaves(poses[name])[:2]))
-        world = Similarity(*(np.asarray(leaf, np.float64) for leaf in jax.tree.leaves(part.pose)))
-        local = pose.inverse().after(world_from_scene).after(world)
+        local = _on_host(poses[name]).inverse().after(world_from_scene).after(_on_host(part.pose))
         return Part(local.transform(part.gaussians), poses[name], part.visible, part.color)
 
     return Scene({name: moved(name, part) for name, part in scene.parts.items()})
+
+
+def _on_host(pose: Similarity) -> Similarity:
+    """Returns a pose in double precision."""
+    rotation, translation = (np.asarray(leaf, np.float64) for leaf in (pose.rotation, pose.translation))
+    return Similarity(rotation, translation, float(pose.scale))
 
 
 def camera_of(model: Any, data: Any, name: str, width: int, height: int) -> Camera:

@@ -127,10 +127,10 @@ class TwinEnv(gymnasium.Env):
 
     def _spaces(self) -> dict[str, spaces.Space]:
         twin = self.twin
-        found = jax.eval_shape(lambda: twin.observe(self.data, jax.random.key(0)))
         limits = {
             name: limits_of(name, sensor, len(twin.scene.parts)) for name, sensor in twin.sensors.items()
         }
+        found = jax.eval_shape(lambda: twin.observe(self.data, jax.random.key(0)))
         measured = {
             name: spaces.Box(*limits[name], found[name].shape, found[name].dtype) for name in twin.sensors
         }

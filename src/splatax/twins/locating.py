@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +12,7 @@ from jaxtyping import Array, Float
 
 from splatax.cameras import Camera
 from splatax.errors import InputError
-from splatax.rendering import Renderer
+from splatax.rendering import BLACK, Renderer
 from splatax.scene import Scene
 from splatax.transforms import Similarity
 
@@ -58,7 +59,7 @@ def located(
     name: str,
     frame: RgbdFrame,
     search: LocationSearch = LocationSearch(),
-    renderer: Renderer = Renderer(),
+    renderer: Renderer = Renderer(BLACK),
 ) -> Similarity:
     """Returns the pose of a part that makes the scene look like a frame; see `location_search`."""
     *_, (pose, _) = location_search(scene, name, frame, search, renderer)
@@ -70,7 +71,7 @@ def location_search(
     name: str,
     frame: RgbdFrame,
     search: LocationSearch = LocationSearch(),
-    renderer: Renderer = Renderer(),
+    renderer: Renderer = Renderer(BLACK),
 ) -> Iterator[tuple[Similarity, Float[Array, ""]]]:
     """Moves a part rigidly towards a frame, and yields its pose and the loss after each step.
 
@@ -100,37 +101,46 @@ def location_search(
     means = np.asarray(scene[name].gaussians.means, np.float64)
     means = means[np.isfinite(means).all(axis=1)]
     middle = np.median(means, axis=0)
-    radius = float(np.median(np.linalg.norm(means - middle, axis=1)) * float(start.scale))
+    radius = jnp.float32(np.median(np.linalg.norm(means - middle, axis=1)) * float(start.scale))
     pivot = start.scale * (start.rotation @ jnp.asarray(middle, jnp.float32)) + start.translation
+    place = _Place(start, pivot, radius)
     rate = optax.exponential_decay(search.rate, search.steps, search.final)
     rule, steps = optax.adam(rate), jnp.zeros(6)
     state = rule.init(steps)
     target = jnp.asarray(frame.rgb, jnp.float32), jnp.nan_to_num(jnp.asarray(frame.depth, jnp.float32))
     weights = jnp.array([search.depth_weight, search.most], jnp.float32)
 
-    @jax.jit
-    @jax.value_and_grad
-    def loss(steps, scene, target, camera, weights):
-        moved = scene.posed({name: _moved(start, pivot, radius, steps)})
-        drawn = renderer(moved, camera, ("rgb", "alpha", "median_surface_depth"))
-        rgb, depth = target
-        both = (depth > 0) & (drawn.median_surface_depth > 0) & (drawn.alpha >= COVERED)
-        apart = jnp.abs(drawn.median_surface_depth - depth) / jnp.where(both, depth, 1)
-        apart = jnp.where(both, jnp.minimum(apart, weights[1]), 0)
-        near = jnp.sum(apart) / jnp.maximum(jnp.sum(both), 1)
-        return jnp.mean(jnp.abs(drawn.rgb - rgb)) + weights[0] * near
-
     for _ in range(search.steps):
-        value, gradient = loss(steps, scene, target, frame.camera, weights)
+        value, gradient = _compare(steps, place, scene, target, frame.camera, weights, renderer, name)
         updates, state = rule.update(jnp.nan_to_num(gradient), state)
         steps = jnp.asarray(optax.apply_updates(steps, updates))
-        yield _moved(start, pivot, radius, steps), value
+        yield place.moved(steps), value
 
 
-def _moved(
-    start: Similarity, pivot: Float[Array, "3"], radius: float, steps: Float[Array, "6"]
-) -> Similarity:
-    """Returns the start, turned about the pivot, and then shifted by multiples of the radius."""
-    turn = Similarity.from_twist(jnp.concatenate([steps[:3], jnp.zeros(3)])).rotation
-    place = pivot + turn @ (start.translation - pivot) + radius * steps[3:]
-    return Similarity(turn @ start.rotation, place, start.scale)
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class _Place:
+    """Where a part starts, the point that it turns about, and its radius."""
+
+    start: Similarity
+    pivot: Float[Array, "3"]
+    radius: Float[Array, ""]
+
+    def moved(self, steps: Float[Array, "6"]) -> Similarity:
+        """Returns the start, turned about the pivot, and then shifted by multiples of the radius."""
+        turn = Similarity.from_twist(jnp.concatenate([steps[:3], jnp.zeros(3)])).rotation
+        place = self.pivot + turn @ (self.start.translation - self.pivot) + self.radius * steps[3:]
+        return Similarity(turn @ self.start.rotation, place, self.start.scale)
+
+
+@partial(jax.jit, static_argnames="name")
+@jax.value_and_grad
+def _compare(steps, place, scene, target, camera, weights, renderer, name):
+    moved = scene.posed({name: place.moved(steps)})
+    drawn = renderer(moved, camera, ("rgb", "alpha", "median_surface_depth"))
+    rgb, depth = target
+    depth_weight, most = weights
+    both = (depth > 0) & (drawn.median_surface_depth > 0) & (drawn.alpha >= COVERED)
+    apart = jnp.abs(drawn.median_surface_depth - depth) / jnp.where(both, depth, 1)
+    apart = jnp.where(both, jnp.minimum(apart, most), 0)
+    return jnp.mean(jnp.abs(drawn.rgb - rgb)) + depth_weight * jnp.sum(apart) / jnp.maximum(jnp.sum(both), 1)

@@ -1,7 +1,7 @@
 """`Twin`: a scene of parts that follows a simulation, seen by the cameras of its model."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from splatax.rendering import Renderer
+from splatax.rendering import BLACK, Renderer
 from splatax.scene import Scene
 from splatax.sensors import CameraRig, Sensor, observe
 from splatax.sensors.protocol import Key
@@ -34,7 +34,7 @@ class Twin:
     scene: Scene
     rig: CameraRig
     sensors: Mapping[str, Sensor]
-    renderer: Renderer = field(default_factory=Renderer)
+    renderer: Renderer = Renderer(BLACK)
 
     @classmethod
     def of(

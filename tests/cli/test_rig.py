@@ -40,6 +40,9 @@ def test_a_run_holds_the_scene_its_poses_and_its_scores(run, arm):
     assert len(scene.gaussians) == scores["gaussians"]
     assert list(scene.clips) == ["Wave"]
     np.testing.assert_allclose(sx.load(run / "scene.ply").means, scene.gaussians.means, atol=1e-6)
+    report = (run / "report.html").read_text()
+    assert "PSNR of 2 held-out photos" in report
+    assert report.count('alt="render"') == 2
     given, kept = (json.loads((folder / "poses.json").read_text()) for folder in (arm, run))
     assert kept["photos"] == given["photos"]
 

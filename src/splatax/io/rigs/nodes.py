@@ -22,7 +22,7 @@ from splatax.scene.skeleton import Pose, Skeleton
 FRAME = np.diag([-1.0, -1.0, 1.0, 1.0])  # glTF's world to ours, and back
 PATHS = {"translation": 3, "rotation": 4, "scale": 3}
 INTERPOLATIONS = {"LINEAR": 1, "STEP": 1, "CUBICSPLINE": 3}  # rows for each time
-LONGEST = 24 * 3600.0  # seconds of a clip; the times of a damaged file may be any numbers
+LONGEST = 3600.0  # seconds of a clip; the times of a damaged file may be any numbers
 AGREE = 1e-3  # relative difference up to which two skins bind a joint in the same place
 
 
@@ -223,7 +223,7 @@ def _channel(
     if max(-times[0], times[-1]) > LONGEST:
         raise FormatError(
             f"{path}: damaged: the clip {shown(clip)} has times from {times[0]:g} to {times[-1]:g} seconds. "
-            "Clips of up to a day are read. Export the clip again."
+            "Clips of up to an hour are read. Export the clip again."
         )
     values = values.reshape(len(times), -1, width)
     if prop == "rotation":

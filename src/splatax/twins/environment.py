@@ -27,7 +27,7 @@ STATE = ("qpos", "qvel")  # observations beside those of the sensors
 
 @runtime_checkable
 class Task(Protocol):
-    """What an agent is asked to do in a simulation."""
+    """A task for an agent: how an episode starts, and the reward for its states."""
 
     def begin(self, model: Any, data: Any, rng: np.random.Generator) -> None:
         """Sets the state at the start of an episode. The data has just been reset."""
@@ -152,13 +152,13 @@ def limits_of(name: str, sensor: Sensor, parts: int) -> tuple[float, float]:
     """
     match sensor:
         case Color():
-            return 0, 1
+            return 0.0, 1.0
         case Normals():
-            return -1, 1
+            return -1.0, 1.0
         case Labels():
-            return -1, (parts if sensor.rows is None else sensor.count) - 1
+            return -1.0, (parts if sensor.rows is None else sensor.count) - 1.0
         case Depth(invalid=0):
-            return (-np.inf if sensor.noise else 0), np.inf  # noise may move a depth below 0
+            return (-np.inf if sensor.noise else 0.0), np.inf  # noise may move a depth below 0
     raise InputError(
         f"sensor {name} ({type(sensor).__name__}) has no space of observations: environments take Color, "
         "Depth with 0 where nothing is measured, Normals and Labels."

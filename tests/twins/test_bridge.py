@@ -144,6 +144,6 @@ def test_the_pose_of_a_part_is_found_in_a_frame_of_colour_and_depth(model, data,
     apart = (found.rotation - truth.rotation) @ middle + found.translation - truth.translation
     assert np.linalg.norm(apart) < 0.003
     with pytest.raises(sx.InputError, match="images of the camera's size"):
-        twins.located(scene, "fore", twins.RgbdFrame(camera, seen["rgb"][:4], seen["depth"]))
+        twins.located(scene, "fore", twins.RgbdFrame(camera, seen["rgb"][:4], seen["depth"][:4]))
     with pytest.raises(sx.InputError, match="Give at least 1"):
         twins.located(scene, "fore", frame, twins.LocationSearch(steps=0))

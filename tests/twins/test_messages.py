@@ -124,7 +124,8 @@ class Node:
         return SimpleNamespace(now=lambda: SimpleNamespace(to_msg=lambda: "now"))
 
 
-POSES = {"cup": ((0.2, 0, 0), (0, 0, 0, 1)), "camera_optical_frame": ((0, 0, -4), (0, 0, 0, 1))}
+TURN = (0.0, 0.0, 0.0, 1.0)
+POSES = {"cup": ((0.2, 0.0, 0.0), TURN), "camera_optical_frame": ((0.0, 0.0, -4.0), TURN)}
 
 
 class Buffer:

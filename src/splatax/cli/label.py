@@ -49,7 +49,7 @@ class Label:
     model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")]
     """A splat file, or the folder of a run of splatax, INRIA's 3DGS or gsplat."""
     masks: Annotated[Path, tyro.conf.arg(metavar="DIR")]
-    """Folder of the label images, and of labels.txt."""
+    """Folder of the label images, and of labels.txt. Not the capture's own masks, which training obeys."""
     out: Annotated[Path | None, shown_as("FILE.glb")] = None
     """The scene of parts to write. By default parts.glb in the folder of the model."""
     scene: Annotated[Path | None, shown_as("CAPTURE")] = None

@@ -20,7 +20,7 @@ from splatax.demo.robot import ARM, drawn_twin
 from splatax.math import quaternions
 
 DEPTH = 2.0  # weight of a metre of depth beside a step of colour from 0 to 1
-DAMPING = 0.02  # of the least squares, relative to the largest curvature
+DAMPING = 0.001  # of the least squares, relative to the largest curvature
 GAIN = 0.5  # fraction of the way to the solution that a step takes
 SUBSTEPS = 40  # steps of the simulation for each picture, 0.2 s
 GOAL = np.array([0.3, 0.4, -0.5, 0.2])

@@ -103,7 +103,7 @@ def location_search(
     middle = np.median(means, axis=0)
     radius = jnp.float32(np.median(np.linalg.norm(means - middle, axis=1)) * float(start.scale))
     pivot = start.scale * (start.rotation @ jnp.asarray(middle, jnp.float32)) + start.translation
-    place = _Place(start, pivot, radius)
+    place = _Place(start, jnp.asarray(pivot), radius)
     rate = optax.exponential_decay(search.rate, search.steps, search.final)
     rule, steps = optax.adam(rate), jnp.zeros(6)
     state = rule.init(steps)

@@ -15,7 +15,7 @@ LAYERS = (  # lowest first; a package stands for all its modules
     {"backends"},
     {"drawn", "surface_outputs", "outputs", "stages", "rendering", "trajectories"},
     {"training", "evaluation", "geometry_scores", "editing", "sensors"},
-    {"demo", "bench", "reconstruction", "mesh", "notebook", "web"},
+    {"demo", "bench", "reconstruction", "mesh", "notebook", "twins", "web"},
     {"runs"},
     {"inspection"},
     {"report"},

@@ -66,6 +66,7 @@ SUBMODULES = {  # public name -> module here
     "training": "training",
     "trajectories": "trajectories",
     "transforms": "transforms",
+    "twins": "twins",
     "viewer": "viewer",
     "web": "web",
 }
@@ -86,6 +87,7 @@ if TYPE_CHECKING:  # the same names, for type checkers and editors; tests/test_i
     from splatax import training as training
     from splatax import trajectories as trajectories
     from splatax import transforms as transforms
+    from splatax import twins as twins
     from splatax import viewer as viewer
     from splatax import web as web
     from splatax.cameras import Camera as Camera

@@ -131,6 +131,8 @@ def test_a_page_is_told_everything(car, tmp_path):
         (("seconds = 5", "seconds = nan"), "[path] seconds is nan, not a duration above 0"),
         (("seconds = 5", "seconds = 0"), "[path] seconds is 0.0, not a duration above 0"),
         (("target = [0, 0, 0]", "target = [0, -1, -5]"), "lie on a line"),
+        (("autoplay = true", "autoplay = 1"), "[embed] autoplay is 1, not true or false"),
+        (("autoplay = true", 'buttons = "no"'), "[embed] buttons is 'no', not true or false"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_sentence_with_the_file(car, tmp_path, capsys, change, message):

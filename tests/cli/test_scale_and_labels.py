@@ -1,5 +1,7 @@
 """`splatax metres` and `splatax label`: the scale of a scene, and its parts from label images."""
 
+import shutil
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -24,7 +26,7 @@ def scene(tmp_path):
 @pytest.fixture
 def capture(tmp_path, monkeypatch):
     """Three photos of a plane, with label images: 1 left of x = 0, 2 right of it. The last is held out."""
-    views, masks = [], tmp_path / "masks"
+    views, masks = [], tmp_path / "labels"
     masks.mkdir()
     for i, x in enumerate((0.3, -0.5, 0.1)):
         camera = camera_at((x, 0.2, -3.0), size=(32, 24))
@@ -93,13 +95,13 @@ def test_a_damaged_scale_is_refused_with_the_file(scene):
 
 
 def test_label_images_split_a_scene_into_named_parts_and_held_out_ones_measure_it(capture, capsys):
-    (capture / "masks" / "labels.txt").write_text("nothing\nleft\nright\n")
+    (capture / "labels" / "labels.txt").write_text("nothing\nleft\nright\n")
     out = capture / "parts.glb"
     arguments = [
         "label",
         capture / "plane.ply",
         "--masks",
-        capture / "masks",
+        capture / "labels",
         "--scene",
         capture,
         "--out",
@@ -129,26 +131,46 @@ def test_label_images_are_read_as_numbers_at_the_size_of_the_view(tmp_path):
 
 def test_label_images_that_do_not_fit_are_refused(capture, capsys):
     def run(**changed):
-        given = {"masks": capture / "masks", "scene": capture, "out": capture / "parts.glb"} | changed
+        given = {"masks": capture / "labels", "scene": capture, "out": capture / "parts.glb"} | changed
         options = [text for name, value in given.items() for text in (f"--{name}", value)]
         return refused(capsys, "label", capture / "plane.ply", *options)
 
     assert "in .glb files" in run(out=capture / "parts.ply")
     (capture / "empty").mkdir()
     assert "no label image of a training photo" in run(masks=capture / "empty")
-    (capture / "masks" / "labels.txt").write_text("nothing\nleft\n")
+    (capture / "labels" / "labels.txt").write_text("nothing\nleft\n")
     assert "2 names, but the label images have labels up to 2" in run()
-    Image.new("RGB", (32, 24)).save(capture / "masks" / "p0.png")
+    Image.new("RGB", (32, 24)).save(capture / "labels" / "p0.png")
     assert "a picture of colors (RGB)" in run()
-    Image.new("L", (32, 20)).save(capture / "masks" / "p0.png")
+    Image.new("L", (32, 20)).save(capture / "labels" / "p0.png")
     assert "other proportions" in run()
+
+
+def test_label_images_in_the_folder_of_the_captures_own_masks_are_refused(capture, capsys):
+    shutil.copytree(capture / "labels", capture / "masks")
+    said = refused(capsys, "label", capture / "plane.ply", "--masks", capture / "masks", "--scene", capture)
+    assert "the capture keeps masks there" in said
+
+
+def test_parts_and_exported_copies_keep_the_scale_in_metres(scene, capture, tmp_path, capsys):
+    cli.main(["metres", str(scene), "0,0,0", "0,0,1", "0.5"])
+    for suffix in (".ply", ".glb", ".sog"):
+        cli.main(["export", str(scene), str(tmp_path / f"twice{suffix}"), "--scale", "2"])
+        assert sensors.metres.metres_of(tmp_path / f"twice{suffix}") == 0.25
+    cli.main(["export", str(scene), str(tmp_path / "a.splat")])
+    assert ".splat files do not keep the scale in metres" in capsys.readouterr().out
+    cli.main(["metres", str(capture / "plane.ply"), "0,0,0", "0,0,1", "0.5"])
+    cli.main(
+        ["label", str(capture / "plane.ply"), "--masks", str(capture / "labels"), "--scene", str(capture)]
+    )
+    assert sensors.metres.metres_of(capture / "parts.glb") == 0.5
 
 
 def test_label_numbers_with_gaps_are_refused_before_memory_runs_out(capture, capsys, monkeypatch):
     monkeypatch.setattr("splatax.cli.label.machine_memory", lambda: 1 << 30)
-    picture = np.asarray(Image.open(capture / "masks" / "p0.png")).astype(np.uint16)
+    picture = np.asarray(Image.open(capture / "labels" / "p0.png")).astype(np.uint16)
     picture[0, 0] = 60_000
-    Image.fromarray(picture).save(capture / "masks" / "p0.png")
-    said = refused(capsys, "label", capture / "plane.ply", "--masks", capture / "masks", "--scene", capture)
+    Image.fromarray(picture).save(capture / "labels" / "p0.png")
+    said = refused(capsys, "label", capture / "plane.ply", "--masks", capture / "labels", "--scene", capture)
     assert "60,001 labels" in said
     assert "without gaps" in said

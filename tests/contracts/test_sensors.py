@@ -242,6 +242,14 @@ def test_labels_beyond_their_number_are_refused_also_inside_jit():
             draw(PLANE, PINHOLE, {"l": labels})
 
 
+@pytest.mark.parametrize("length", [0.0, math.nan])
+def test_rays_of_a_lidar_that_point_nowhere_are_refused(length):
+    rays = np.array([[0.0, 0.0, 1.0], [length, 0.0, 0.0]], np.float32)
+    for table in (rays, jnp.asarray(rays)):
+        with pytest.raises(ValueError, match="1 of 2 directions of a LiDAR"):
+            Lidar(table)
+
+
 def test_a_body_with_a_scale_is_refused():
     rig = CameraRig.of([PINHOLE])
     with pytest.raises(ValueError, match="a body with the scale 2"):

@@ -2,7 +2,9 @@
 
 import json
 import struct
+import time
 from dataclasses import replace
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +15,8 @@ import splatax as sx
 from scene.skeletons import arm, bent, blended
 from splatax.demo.rigged import drawn_arm, moves_of
 from splatax.io.rigs import load_rigged, read_body, save_rigged
+from splatax.io.rigs.following import check_following
+from splatax.io.rigs.nodes import _moving_nodes
 from splatax.io.rigs.poses import Posing, read_poses, write_poses
 from splatax.io.rigs.writing import save_body
 from splatax.scene.binding import bind, covering
@@ -86,6 +90,13 @@ def test_a_body_comes_back_as_it_was_saved(body_file):
     np.testing.assert_allclose(other.quats, pose.quats, atol=1e-6)
     posed = again.surface.posed(moves_of(again, other))
     np.testing.assert_allclose(posed, body.surface.posed(moves_of(body, pose)), atol=1e-5)
+
+
+def test_a_body_keeps_the_colors_of_its_vertices(tmp_path):
+    body = drawn_arm()
+    colors = np.random.default_rng(0).uniform(size=body.surface.colors.shape)
+    save_body(tmp_path / "body.glb", replace(body, surface=replace(body.surface, colors=colors)))
+    np.testing.assert_allclose(read_body(tmp_path / "body.glb").surface.colors, colors, atol=1e-6)
 
 
 @pytest.mark.parametrize("turned", [True, False], ids=["the frame of glTF", "a frame of its own"])
@@ -203,6 +214,58 @@ def test_a_clip_with_a_rotation_of_zeros_is_refused(tmp_path):
     save_body(tmp_path / "body.glb", replace(drawn_arm(), clips={"Wave": Clip("Wave", (still,))}))
     with pytest.raises(sx.FormatError, match="clip Wave has a rotation of zeros"):
         read_body(tmp_path / "body.glb")
+
+
+def test_a_clip_that_would_last_for_years_is_refused(tmp_path):
+    turns = np.tile([1.0, 0, 0, 0], (2, 1, 1))
+    endless = Channel(0, "rotation", np.array([0.0, 1e30]), turns, "LINEAR")
+    save_body(tmp_path / "body.glb", replace(drawn_arm(), clips={"Wave": Clip("Wave", (endless,))}))
+    with pytest.raises(sx.FormatError, match=r"clip Wave has times from 0 to 1e\+30 seconds"):
+        read_body(tmp_path / "body.glb")
+
+
+def signed(gltf) -> None:
+    """Stores joints as signed bytes, so that 255 is -1."""
+    joints = gltf["meshes"][0]["primitives"][0]["attributes"]["JOINTS_0"]
+    gltf["accessors"][joints]["componentType"] = 5120
+
+
+def test_joints_and_weights_that_cannot_be_are_refused(tmp_path):
+    body, path = drawn_arm(), tmp_path / "body.glb"
+    surface, negative = body.surface, body.surface.indices.copy()
+    negative[0, 0] = -1
+    save_body(path, replace(body, surface=replace(surface, indices=negative)))
+    changed(path, signed)
+    with pytest.raises(sx.FormatError, match="joints that its skin does not have, whose joints are 0 to 2"):
+        read_body(path)
+    weights = np.where(np.arange(len(surface.weights))[:, None] == 3, [1.5, -0.5], surface.weights)
+    with pytest.raises(sx.FormatError, match="weights are negative or not finite"):
+        check_following(path, surface.indices.astype(float), weights, 3)
+
+
+def test_splats_that_follow_negative_joints_are_refused(tmp_path):
+    gaussians, rig = covering(drawn_arm(), 20)
+    negative = replace(rig, indices=rig.indices.at[0, 0].set(-1))
+    save_rigged(tmp_path / "a.glb", RiggedScene(gaussians, negative))
+    changed(tmp_path / "a.glb", signed)
+    with pytest.raises(sx.FormatError, match="joints that its skin does not have"):
+        load_rigged(tmp_path / "a.glb")
+
+
+def test_many_nodes_of_one_name_in_one_long_chain_are_read_in_linear_time():
+    count = 20_000
+    nodes = [{"name": "bone", "mesh": 0, "children": [i + 1]} for i in range(count)]
+    nodes[-1]["children"] = []
+    began = time.process_time()
+    found = _moving_nodes(Path("chain.glb"), {"nodes": nodes})
+    assert time.process_time() - began < 5  # each of the quadratic searches took longer than that
+    assert found.parents == list(range(-1, count - 1))
+    assert len(set(found.names)) == count
+
+
+def test_names_stay_unique_when_one_looks_like_a_numbered_one():
+    nodes = [{"name": "a", "mesh": 0}, {"name": "a (2)", "mesh": 0}, {"name": "a", "mesh": 0}]
+    assert len(set(_moving_nodes(Path("a.glb"), {"nodes": nodes}).names)) == 3
 
 
 def test_splats_without_a_skin_are_refused(tmp_path):

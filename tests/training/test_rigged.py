@@ -122,3 +122,14 @@ def test_joints_turned_by_ten_degrees_are_recovered_to_one_degree():
     none = Dataset((), (), PointCloud(np.zeros((0, 3)), np.zeros((0, 3))))
     with pytest.raises(sx.DatasetError, match="none"):
         fit_pose(scene, none.train, start)
+
+
+def test_a_search_for_a_pose_needs_steps_and_photos_of_the_size_of_their_cameras():
+    scene, rest = RiggedScene(*covering(BODY, 20), BODY.clips), BODY.skeleton.rest
+    dataset, *_ = capture(times=(0.0,), views=1)
+    with pytest.raises(sx.InputError, match="Give at least 1"):
+        fit_pose(scene, dataset.train, rest, Search(steps=0))
+    (view,) = dataset.train
+    wrong = replace(view, camera=view.camera.resized(SIZE // 2, SIZE // 2))
+    with pytest.raises(sx.DatasetError, match="a photo of 32 x 32 pixels with a camera of 16 x 16"):
+        fit_pose(scene, [wrong], rest)

@@ -1,12 +1,11 @@
 """The page in a browser: it draws what splatax draws, and does what it is told."""
 
-import io
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from PIL import Image
+from screenshots import picture, psnr
 
 import splatax as sx
 from scenes import camera_at, random_gaussians
@@ -25,16 +24,6 @@ def page(tmp_path_factory, viewer):
     path = tmp_path_factory.mktemp("page") / "scene & <all>.html"
     web.save(path, SCENE, title="Random & <b>dense</b>", cameras=CAMERAS)
     return path
-
-
-def picture(tab) -> np.ndarray:
-    tab.tell("document.body.classList.add('bare')")
-    with Image.open(io.BytesIO(tab.tab.screenshot())) as image:
-        return np.asarray(image.convert("RGB"), np.float32) / 255
-
-
-def psnr(a, b) -> float:
-    return float(-10 * np.log10(np.mean((a - b) ** 2)))
 
 
 @pytest.mark.parametrize(

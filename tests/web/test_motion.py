@@ -1,13 +1,12 @@
 """Pages that play a clip: the numbers that they hold, and what a browser draws of them."""
 
 import base64
-import io
 from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from PIL import Image
+from screenshots import picture, psnr
 
 import splatax as sx
 from splatax import web
@@ -73,15 +72,12 @@ def test_a_page_shows_what_our_renderer_draws_at_all_times_of_the_clip(open_page
     )
     tab = open_page(tmp_path / "wave.html", (SIZE, SIZE))  # asks for reduced motion, so the clip is paused
     tab.settle()
-    tab.tell("document.body.classList.add('bare')")
     scores = []
     for time in TIMES:
         tab.tell(f"(viewer.settled = false, viewer.stage.animation.show({time}))")
         tab.settle()
-        with Image.open(io.BytesIO(tab.tab.screenshot())) as image:
-            shown = np.asarray(image.convert("RGB"), np.float32) / 255
         drawn = sx.render(rigged.at("Wave", time), camera, background=sx.WHITE).rgb
-        scores.append(float(-10 * np.log10(np.mean((shown - np.clip(drawn, 0, 1)) ** 2))))
+        scores.append(psnr(picture(tab), np.clip(drawn, 0, 1)))
     print("dB at each time:", [round(score, 1) for score in scores])
     assert min(scores) > LIKE
     assert tab.errors == []

@@ -1,13 +1,12 @@
 """The page of a product: every combination of its variants is what `render` draws of the chosen scene."""
 
-import io
 import itertools
 import re
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from PIL import Image
+from screenshots import picture, psnr
 
 import splatax as sx
 from scenes import camera_at, random_gaussians
@@ -51,16 +50,6 @@ def page(tmp_path_factory, viewer):
     return path
 
 
-def picture(tab) -> np.ndarray:
-    tab.tell("document.body.classList.add('bare')")
-    with Image.open(io.BytesIO(tab.tab.screenshot())) as image:
-        return np.asarray(image.convert("RGB"), np.float32) / 255
-
-
-def psnr(a, b) -> float:
-    return float(-10 * np.log10(np.mean((a - b) ** 2)))
-
-
 def test_a_file_that_parts_share_is_in_the_page_once(page):
     names = set(re.findall(r'part\("([^"]*)", "', page.read_text()))
     assert names == {"viewer", "part-0", "part-1"}
@@ -82,6 +71,30 @@ def test_every_choice_is_drawn_as_by_our_renderer(open_page, page):
     assert min(np.abs(a - b).max() for a, b in itertools.combinations(seen, 2)) > 0.1
     assert tab.errors == []
     assert [url for url in tab.requests if not url.startswith("blob:")] == [page.as_uri()]
+
+
+@pytest.mark.slow
+def test_a_switch_costs_the_page_less_than_a_tenth_of_a_second(open_page, page):
+    """The CPU time of the page's main thread from a choice until its picture is final. Drawing is not in it:
+    Chromium draws in another process, and here in software."""
+    tab = open_page(page, (96, 72))
+    tab.settle()
+    session = tab.tab.context.new_cdp_session(tab.tab)
+    session.send("Performance.enable", {"timeDomain": "threadTicks"})
+
+    def busy() -> float:
+        found = session.send("Performance.getMetrics")["metrics"]
+        return next(row["value"] for row in found if row["name"] == "TaskDuration")
+
+    spent = []
+    for paint, wheels in itertools.product(*VARIANTS.values()):
+        before = busy()
+        tab.tell(f"(viewer.choose('paint', '{paint}'), viewer.choose('wheels', '{wheels}'))")
+        tab.tell("viewer.settled = false")
+        tab.settle()
+        spent.append(busy() - before)
+    print("seconds of the main thread for each switch:", [round(seconds, 4) for seconds in spent])
+    assert 0 < np.median(spent) < 0.1, spent
 
 
 @pytest.mark.slow

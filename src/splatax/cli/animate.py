@@ -31,6 +31,7 @@ from splatax.io.rigs import load_rigged, save_rigged
 from splatax.metrics import to_8bit
 from splatax.scene.clips import Clip
 from splatax.scene.rigged import RiggedScene
+from splatax.sensors import kept_metres
 
 SAMPLES = 8  # times of the clip that the camera's distance is chosen for
 
@@ -71,11 +72,12 @@ class Animate:
                 raise InputError(f"--{name}: at least 1, not {getattr(self, name)}.")
         if self.out.exists() and not self.overwrite:
             raise InputError(f"{self.out}: exists. Choose another name, or replace it: --overwrite.")
-        scene = load_rigged(self.run_ / RIGGED if self.run_.is_dir() else self.run_)
+        path = self.run_ / RIGGED if self.run_.is_dir() else self.run_
+        scene = load_rigged(path)
         clip = self._clip(scene)
         if self.out.suffix.lower() == ".glb":
             self.out.parent.mkdir(parents=True, exist_ok=True)
-            save_rigged(self.out, replace(scene, clips={clip.name: clip}))
+            save_rigged(self.out, replace(scene, clips={clip.name: clip}), comments=kept_metres(path))
             say(f"{self.out}: {len(scene.gaussians):,} Gaussians with a skin and the clip {clip.name}")
             say("note    splat viewers that ignore skins show the bound pose, without motion")
             return

@@ -12,6 +12,7 @@ from splatax.errors import InputError
 from splatax.io.rigs import read_body, save_rigged
 from splatax.scene.binding import bind
 from splatax.scene.rigged import RiggedScene
+from splatax.sensors import kept_metres
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,7 @@ class Bind:
             say(f"note    {note}")
         rig = bind(model.gaussians, body)
         self.out.parent.mkdir(parents=True, exist_ok=True)
-        save_rigged(self.out, RiggedScene(model.gaussians, rig, body.clips))
+        scene = RiggedScene(model.gaussians, rig, body.clips)
+        save_rigged(self.out, scene, comments=kept_metres(model.path))
         clips = ", ".join(body.clips) or "none"
         say(f"{self.out}: {len(model.gaussians):,} Gaussians on {len(rig.skeleton)} joints, clips: {clips}")

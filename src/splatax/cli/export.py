@@ -9,7 +9,7 @@ import numpy as np
 import tyro
 
 import splatax as sx
-from splatax import editing, web
+from splatax import editing, sensors, web
 from splatax.cli.display import Display
 from splatax.cli.evaluate import views_of
 from splatax.cli.options import (
@@ -162,11 +162,13 @@ class Export:
         if self._streamed:
             options["coarser"] = coarser
         self.out.parent.mkdir(parents=True, exist_ok=True)
-        count = sx.save(self.out, edited, **options)
+        count = sx.save(self.out, edited, comments=sensors.kept_metres(model.path, self.scale), **options)
         before, after = model.path.stat().st_size, formats.size_of(self.out)
         share = f"{before / after:.1f} x smaller" if after <= before else f"{after / before:.1f} x larger"
         say(f"{self.out}: {count:,} Gaussians, {after / 1e6:.2f} MB ({share})")
         say(f"loses: {formats.format_of(self.out).LOSES}")
+        if comments and not set(comments) <= set(formats.comments(self.out)):
+            say(f"note    {self.out.suffix} files do not keep the scale in metres")
 
     def _selected(self, model: Model, dataset: sx.Dataset | None) -> sx.Gaussians:
         gaussians = model.gaussians

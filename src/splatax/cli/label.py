@@ -26,6 +26,7 @@ from splatax.cli.options import (
 from splatax.cli.output import say
 from splatax.errors import InputError
 from splatax.io import label_images
+from splatax.io.datasets import masks
 from splatax.io.memory import machine_memory
 from splatax.io.scenes import save_scene
 
@@ -48,7 +49,7 @@ class Label:
     model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")]
     """A splat file, or the folder of a run of splatax, INRIA's 3DGS or gsplat."""
     masks: Annotated[Path, tyro.conf.arg(metavar="DIR")]
-    """Folder of the label images, and of labels.txt."""
+    """Folder of the label images, and of labels.txt. Not the capture's own masks, which training obeys."""
     out: Annotated[Path | None, shown_as("FILE.glb")] = None
     """The scene of parts to write. By default parts.glb in the folder of the model."""
     scene: Annotated[Path | None, shown_as("CAPTURE")] = None
@@ -78,7 +79,7 @@ class Label:
         labels = editing.labels_of(found)
         parts = editing.split_by_label(model.gaussians, labels, names)
         out.parent.mkdir(parents=True, exist_ok=True)
-        save_scene(out, parts)
+        save_scene(out, parts, comments=sensors.kept_metres(model.path))
         for name, part in parts.parts.items():
             say(f"{len(part.gaussians):9,} Gaussians  {name}")
         say(f"{out}: {len(parts.parts)} parts from {len(voting)} label images")
@@ -91,6 +92,11 @@ class Label:
         capture = self.scene or scene_of(model)
         if capture is None:
             raise InputError(f"{self.model}: needs the cameras of its capture.", options=("scene",))
+        if self.masks.resolve() == (capture / masks.FOLDER).resolve():
+            raise InputError(
+                f"{self.masks}: the capture keeps masks there, whose black pixels training ignores. Keep "
+                "label images in a folder of another name, such as labels."
+            )
         # Label images are of the photos as they are, so the views keep the lenses of the photos.
         dataset = load_scene(capture, self.downscale, model, undistort=False)
         voting, testing = (self._read(views) for views in (dataset.train, dataset.test))

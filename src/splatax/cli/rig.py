@@ -1,33 +1,33 @@
 """`splatax rig`: Gaussians that follow a skeleton, trained from photos in known poses."""
 
 import json
+import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import tyro
 
 import splatax as sx
-from splatax import metrics
 from splatax.cli.display import Display
 from splatax.cli.interruption import Interruption
 from splatax.cli.options import BackgroundOption, OverwriteFlag, shown_as
 from splatax.cli.output import say
+from splatax.dataset import mask_of
 from splatax.errors import InputError
 from splatax.io.files import write_whole
 from splatax.io.rigs import read_body, save_rigged
 from splatax.io.rigs.poses import Posing, along_clip, read_poses, write_poses
+from splatax.report.rigged import posed_comparisons, rig_report, seen_by
 from splatax.runs.claim import claimed_for_run
+from splatax.runs.history import History
 from splatax.scene.binding import covering
 from splatax.scene.body import Body
 from splatax.scene.rigged import RiggedScene
 from splatax.training.backgrounds import BACKGROUNDS
 from splatax.training.recipes import room_for
 from splatax.training.rigged import REFINED, RigProgress, optimize_rig, recipe_for
-from splatax.training.step import photo_over
 
 RIGGED, POSES = "rigged.glb", "poses.json"
 Refine = Literal[*REFINED]  # type: ignore[valid-type]
@@ -38,7 +38,7 @@ class RigCommand:
     """Train Gaussians that follow a skeleton, from photos of it in known poses.
 
     Writes rigged.glb (splats with a skin, the skeleton and its clips), scene.ply (the splats in the bound
-    pose), poses.json (the poses, refined if requested) and metrics.json.
+    pose), poses.json (the poses, refined if requested), metrics.json and report.html.
     """
 
     scene: Annotated[Path, tyro.conf.Positional, shown_as("CAPTURE")]
@@ -69,10 +69,14 @@ class RigCommand:
     def run(self) -> None:
         if self.steps < 1:
             raise InputError(f"--steps: at least 1, not {self.steps}.")
+        if self.max_gaussians is not None and self.max_gaussians < 1:
+            raise InputError(f"--max-gaussians: at least 1, not {self.max_gaussians}.")
         body = read_body(self.skeleton)
         dataset = sx.load_dataset(self.scene)
         for note in (*body.notes, *dataset.notes):
             say(f"note    {note}")
+        for view in dataset.test:  # those of training are checked as they are read
+            mask_of(view)
         posing = self._posing(body, dataset)
         most = self.max_gaussians or room_for(dataset)
         recipe = recipe_for(self.steps, most, self.seed)
@@ -81,16 +85,20 @@ class RigCommand:
             recipe = replace(recipe, drawing=replace(recipe.drawing, background=BACKGROUNDS[behind]))
         start = covering(body, max(most // 2, 1), seed=self.seed)
         with claimed_for_run(self.out, self.overwrite):
-            last = None
+            last, history, began = None, History(), time.perf_counter()
             with Display(self.steps) as display, Interruption() as interruption:
                 display.announce("compiling the first step")
                 learned = REFINED[self.refine]
                 for last in optimize_rig(dataset, recipe, start, posing.poses, posing.pose_of, learned):
                     display.step(last.step, last.loss, last.count)
+                    history.losses.append(last.loss)
+                    history.counts.append(last.count)
                     if interruption.requested:
+                        history.interrupted = True
                         break
             assert last
-            self._write(body, dataset, posing, last, recipe.drawing.background.rgb)
+            history.train_seconds = time.perf_counter() - began
+            self._write(body, dataset, posing, last, recipe.drawing.background.rgb, history)
 
     def _posing(self, body: Body, dataset: sx.Dataset) -> Posing:
         """Returns the poses of the photos, from the file or the clip.
@@ -116,35 +124,27 @@ class RigCommand:
         posing: Posing,
         last: RigProgress,
         background: tuple[float, float, float],
+        history: History,
     ) -> None:
         scene = RiggedScene(last.gaussians, last.rig, body.clips)
         save_rigged(self.out / RIGGED, scene)
         sx.save(self.out / "scene.ply", scene.gaussians)
-        write_poses(self.out / POSES, Posing(last.poses, posing.pose_of), body.skeleton)
+        posing = Posing(last.poses, posing.pose_of)
+        write_poses(self.out / POSES, posing, body.skeleton)
+        galleries = {
+            kind: seen_by(posed_comparisons(scene, posing, views, background))
+            for kind, views in (("held-out", dataset.test), ("training", dataset.train))
+        }
         scores = {
-            name: psnr_of(scene, Posing(last.poses, posing.pose_of), views, background)
-            for name, views in (("train", dataset.train), ("test", dataset.test))
+            name: {score.name: score.psnr for score in galleries[kind].scores}
+            for name, kind in (("train", "training"), ("test", "held-out"))
         }
         found = {name: float(np.mean(list(values.values()))) for name, values in scores.items() if values}
-        report = {"steps": last.step, "gaussians": last.count, "psnr": found, "photos": scores}
-        write_whole(self.out / "metrics.json", json.dumps(report, indent=1).encode())
+        written = {"steps": last.step, "gaussians": last.count, "psnr": found, "photos": scores}
+        write_whole(self.out / "metrics.json", json.dumps(written, indent=1).encode())
+        title = self.out.resolve().name
+        write_whole(self.out / "report.html", rig_report(title, galleries, history, dataset.notes))
         for name, value in found.items():
             say(f"{name:5} PSNR {value:.2f} dB over {len(scores[name])} photos")
         say(f"scene   {self.out / RIGGED}")
-
-
-def psnr_of(
-    scene: RiggedScene, posing: Posing, views: tuple[sx.View, ...], background: tuple[float, float, float]
-) -> dict[str, float]:
-    """Returns the PSNR of the photos that have a pose, dB, by name."""
-    behind = np.asarray(background, np.float32)
-    draw = jax.jit(lambda pose, camera: sx.render(scene.posed(pose), camera, background=behind).rgb)
-    found = {}
-    for view in views:
-        if (name := posing.pose_of.get(view.name)) is None:
-            continue
-        photo = np.asarray(photo_over(jnp.asarray(view.pixels()), jnp.asarray(behind)))
-        drawn = np.asarray(draw(posing.poses[name], view.camera))
-        mask = None if view.mask is None else view.mask()
-        found[view.name] = metrics.psnr(metrics.to_8bit(drawn), metrics.to_8bit(photo), mask)
-    return found
+        say(f"report  {self.out / 'report.html'}")

@@ -17,6 +17,7 @@ from splatax.sensors.lidar import Lidar as Lidar
 from splatax.sensors.lidar import Scan as Scan
 from splatax.sensors.lidar import spinning as spinning
 from splatax.sensors.metres import in_metres as in_metres
+from splatax.sensors.metres import kept_metres as kept_metres
 from splatax.sensors.metres import load_in_metres as load_in_metres
 from splatax.sensors.observing import observe as observe
 from splatax.sensors.protocol import Sensor as Sensor

@@ -8,10 +8,9 @@ from jaxtyping import Array, Float
 
 from splatax.cameras import Camera
 from splatax.math import rigid
+from splatax.math.srgb import OFFSET, POWER, SLOPE, TOE
 from splatax.outputs import Rendering
 from splatax.sensors.protocol import Key, Plain
-
-TOE, SLOPE, OFFSET, POWER = 0.04045, 12.92, 0.055, 2.4  # of the sRGB curve (IEC 61966-2-1)
 
 
 @jax.tree_util.register_dataclass

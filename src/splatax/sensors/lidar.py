@@ -59,6 +59,16 @@ class Lidar(Plain):
     height: int = field(default=256, metadata={"static": True})
     frame: Frame = field(default="sensor", metadata={"static": True})
 
+    def __post_init__(self) -> None:
+        known = isinstance(self.directions, np.ndarray | jax.Array)  # JAX also makes records of placeholders
+        if known and not isinstance(self.directions, jax.core.Tracer):
+            lengths = np.linalg.norm(np.asarray(self.directions, np.float64), axis=-1)
+            if wrong := int(np.sum(~((lengths > 0) & np.isfinite(lengths)))):
+                raise ValueError(
+                    f"{wrong} of {lengths.size} directions of a LiDAR are not finite or have no length. "
+                    "Leave them out."
+                )
+
     @property
     def outputs(self) -> tuple[str, ...]:
         """Names of the outputs of `render` that the sensor needs."""

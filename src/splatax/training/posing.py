@@ -8,10 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, UInt8
 
 from splatax.dataset import View, mask_of
-from splatax.errors import DatasetError
+from splatax.errors import DatasetError, InputError
 from splatax.losses import Photometric
 from splatax.rendering import render
 from splatax.scene.rigged import RiggedScene
@@ -58,13 +58,15 @@ def pose_search(
         search: settings.
 
     Raises:
-        DatasetError: if there are no photos.
-        InputError: if there is no joint of a name.
+        DatasetError: if there are no photos, or one has another size than its camera.
+        InputError: if there is no joint of a name, or there are no steps.
     """
     if not views:
         raise DatasetError("A pose is searched for in photos, and there are none.")
+    if search.steps < 1:
+        raise InputError(f"a search for a pose of {search.steps} steps. Give at least 1.")
     behind = jnp.asarray(search.background, jnp.float32)
-    photos = [(view.camera, photo_over(jnp.asarray(view.pixels()), behind), _mask(view)) for view in views]
+    photos = [(view.camera, photo_over(_pixels(view), behind), _mask(view)) for view in views]
     rule = optax.adam(optax.exponential_decay(search.rate, search.steps, FINAL_RATE))
     skeleton = scene.rig.skeleton
     turns, free = jnp.zeros((len(skeleton), 3)), np.ones((len(skeleton), 1), np.float32)
@@ -80,6 +82,17 @@ def pose_search(
         updates, state = rule.update(gradient, state)
         turns = turns + updates
         yield spun(start, turns), loss
+
+
+def _pixels(view: View) -> UInt8[Array, "h w _"]:
+    """Returns the photo of a view, whose size must be that of the camera."""
+    pixels, camera = view.pixels(), view.camera
+    if pixels.shape[:2] != (camera.height, camera.width):
+        raise DatasetError(
+            f"{view.name}: a photo of {pixels.shape[1]} x {pixels.shape[0]} pixels with a camera of "
+            f"{camera.width} x {camera.height}. Give the camera of the photo's size (Camera.resized)."
+        )
+    return jnp.asarray(pixels)
 
 
 def _mask(view: View) -> Array | None:

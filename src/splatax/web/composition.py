@@ -117,9 +117,7 @@ def _part(path: Path, name: str, row: dict[str, Any], read: dict[tuple[str, str 
         _read(path.parent / source[0], source, read)
     place = {key: _numbers(f"{where} {key}", row[key], 3) for key in ("degrees", "move") if key in row}
     pose = Similarity.of(**place, scale=float(row.get("scale", 1)))  # type: ignore[arg-type]
-    visible = row.get("visible", True)
-    if not isinstance(visible, bool):
-        raise ValueError(f"{where} visible is {visible!r}, not true or false")
+    visible = _flag(f"{where} visible", row.get("visible", True))
     return Part(read[source], pose, visible, _color(where, row))
 
 
@@ -184,9 +182,9 @@ def _presentation(path: Path, table: dict[str, Any], variants: Variants) -> Pres
         None if start is None else _view(start),
         cameras,
         seconds,
-        "turntable" if embed.get("turntable", False) else "flight",
-        bool(embed.get("autoplay", False)),
-        bool(embed.get("buttons", True)),
+        "turntable" if _flag("[embed] turntable", embed.get("turntable", False)) else "flight",
+        _flag("[embed] autoplay", embed.get("autoplay", False)),
+        _flag("[embed] buttons", embed.get("buttons", True)),
     )
 
 
@@ -209,6 +207,12 @@ def _numbers(what: str, values: Any, count: int) -> tuple[float, ...]:
     if len(numbers) != count or not np.isfinite(numbers).all():
         raise ValueError(f"{what} is {values!r}, not {count} numbers")
     return tuple(numbers)
+
+
+def _flag(what: str, value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise ValueError(f"{what} is {value!r}, not true or false")
+    return value
 
 
 def _check_keys(where: str, row: Any, known: tuple[str, ...]) -> None:

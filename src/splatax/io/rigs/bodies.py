@@ -9,10 +9,13 @@ from jaxtyping import Float
 from splatax.errors import FormatError, shown
 from splatax.io.formats import glb_scene
 from splatax.io.formats.untrusted import structured
+from splatax.io.rigs.following import check_following
 from splatax.io.rigs.nodes import FRAME, Binding, Nodes, read_skeleton
+from splatax.math.srgb import to_display
 from splatax.scene.body import JOINTS, Body, Surface, strongest
 
 TRIANGLES = 4  # glTF's mode of a primitive
+PLAIN = 0.8  # display-referred grey of meshes without a colour
 
 
 def read_body(path: str | Path) -> Body:
@@ -75,28 +78,41 @@ def _part(
             raise FormatError(
                 f"{path}: the mesh of {shown(str(node.get('name')))} has a skin but no JOINTS_0."
             )
-        found = np.concatenate([read(name) for name in sets], axis=1).astype(np.int64)
+        found = np.concatenate([read(name) for name in sets], axis=1)
         weights = np.concatenate([read(name.replace("JOINTS", "WEIGHTS")) for name in sets], axis=1)
-        if len(found) != count or len(weights) != count or found.max(initial=0) >= len(joints):
-            raise FormatError(f"{path}: damaged: a mesh follows joints that its skin does not have.")
+        if len(found) != count or len(weights) != count:
+            raise FormatError(f"{path}: damaged: not every vertex has joints. Get the file again.")
+        found = check_following(path, found, weights, len(joints))
         indices, weights = strongest(joints[found], weights)
     else:
-        own = nodes.place_of(number)
+        own = nodes.places[number]
         place = binding.worlds[own]
         indices, weights = np.full((count, JOINTS), own), np.tile([1.0, 0, 0, 0], (count, 1))
     placed = FRAME @ place
     world = vertices @ placed[:3, :3].T + placed[:3, 3]
-    colors = np.tile(_color(gltf, primitive), (count, 1))
+    colors = _colors(gltf, primitive, read("COLOR_0") if "COLOR_0" in attributes else np.ones((count, 3)))
+    if len(colors) != count:
+        raise FormatError(f"{path}: damaged: not every vertex has a color. Get the file again.")
     return Surface(world, corners.reshape(-1, 3), indices, weights, colors)
 
 
-def _color(gltf: dict[str, Any], primitive: dict[str, Any]) -> Float[np.ndarray, "3"]:
-    """Returns the base colour of a primitive's material, which glTF stores in linear light."""
-    if "material" not in primitive:
-        return np.full(3, 0.8)
-    material = gltf["materials"][primitive["material"]].get("pbrMetallicRoughness", {})
-    linear = np.clip(np.array(material.get("baseColorFactor", (1, 1, 1, 1)), np.float64)[:3], 0, 1)
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+def _colors(
+    gltf: dict[str, Any], primitive: dict[str, Any], factors: Float[np.ndarray, "v _"]
+) -> Float[np.ndarray, "v 3"]:
+    """Returns display-referred colours: the material's base colour times those of the vertices, both linear.
+
+    Args:
+        gltf: the JSON chunk.
+        primitive: the mesh.
+        factors: COLOR_0, RGB or RGBA in linear light; ones for a mesh without.
+    """
+    base = np.ones(3)
+    if "material" in primitive:
+        material = gltf["materials"][primitive["material"]].get("pbrMetallicRoughness", {})
+        base = np.array(material.get("baseColorFactor", (1, 1, 1, 1)), np.float64)[:3]
+    elif "COLOR_0" not in primitive["attributes"]:
+        return np.full((len(factors), 3), PLAIN)
+    return to_display(base * factors[:, :3])
 
 
 def _joined(parts: list[Surface]) -> Surface:

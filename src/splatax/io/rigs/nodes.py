@@ -3,7 +3,9 @@
 glTF is left-up-forward, ours right-down-forward: half a turn around z, as for splats in a .glb file.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,7 @@ from splatax.scene.skeleton import Pose, Skeleton
 FRAME = np.diag([-1.0, -1.0, 1.0, 1.0])  # glTF's world to ours, and back
 PATHS = {"translation": 3, "rotation": 4, "scale": 3}
 INTERPOLATIONS = {"LINEAR": 1, "STEP": 1, "CUBICSPLINE": 3}  # rows for each time
+LONGEST = 3600.0  # seconds of a clip; the times of a damaged file may be any numbers
 AGREE = 1e-3  # relative difference up to which two skins bind a joint in the same place
 
 
@@ -47,9 +50,10 @@ class Nodes:
             worlds[joint] = (worlds[parent] if parent >= 0 else np.eye(4)) @ self.locals[joint]
         return worlds
 
-    def place_of(self, node: int) -> int:
-        """Returns the index in this list of a node of the file."""
-        return self.ids.index(node)
+    @cached_property
+    def places(self) -> dict[int, int]:
+        """Index in this list of each node of the file that is in it."""
+        return {node: place for place, node in enumerate(self.ids)}
 
 
 @dataclass
@@ -101,28 +105,38 @@ def _moving_nodes(path: Path, gltf: dict[str, Any]) -> Nodes:
             f"{path}: nothing in it can move: it has neither a skin nor nodes with meshes. Export the body "
             "with its skeleton."
         )
-    chains = []
+    places: dict[int, int] = {}  # parents first
     for node in sorted(wanted):
-        chain = [node]
-        while chain[-1] in parents:
-            chain.append(parents[chain[-1]])
-            if len(chain) > len(listed):
+        chain, passed = [node], {node}
+        while (above := parents.get(chain[-1], -1)) >= 0 and above not in places:
+            if above in passed:
                 raise FormatError(f"{path}: damaged: its nodes form a circle. Get the file again.")
-        chains.append(chain[::-1])
-    ids = list(dict.fromkeys(node for chain in chains for node in chain))
-    names: list[str] = []
-    for node in ids:
-        name = str(listed[node].get("name") or f"node {node}")
-        names.append(name if name not in names else f"{name} ({node})")
-    above = [ids.index(parents[node]) if node in parents else -1 for node in ids]
-    return Nodes(ids, above, names, np.stack([_local(listed[node]) for node in ids]))
+            chain.append(above)
+            passed.add(above)
+        for each in reversed(chain):
+            places.setdefault(each, len(places))
+    ids = list(places)
+    names = _unique((node, str(listed[node].get("name") or f"node {node}")) for node in ids)
+    tops = [places.get(parents.get(node, -1), -1) for node in ids]
+    return Nodes(ids, tops, names, np.stack([_local(listed[node]) for node in ids]))
+
+
+def _unique(named: Iterable[tuple[int, str]]) -> list[str]:
+    """Returns names that occur once, by adding the number of the node, in brackets, to those that repeat."""
+    names: dict[str, None] = {}
+    for node, name in named:
+        while name in names:
+            name = f"{name} ({node})"
+        names[name] = None
+    return list(names)
 
 
 def _local(node: dict[str, Any]) -> Float[np.ndarray, "4 4"]:
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
     local = np.eye(4)
-    local[:3, :3] = Rotation.from_quat(node.get("rotation", (0, 0, 0, 1))).as_matrix()
+    if "rotation" in node:
+        local[:3, :3] = Rotation.from_quat(node["rotation"]).as_matrix()
     local[:3, :3] *= np.array(node.get("scale", (1, 1, 1)), np.float64)
     local[:3, 3] = node.get("translation", (0, 0, 0))
     return local
@@ -148,7 +162,7 @@ def _binding(path: Path, gltf: dict[str, Any], buffer: bytes, nodes: Nodes) -> B
     rest, known = nodes.worlds, dict[int, np.ndarray]()
     binding = Binding(np.zeros_like(rest))
     for number, skin in enumerate(gltf.get("skins", ())):
-        joints = np.array([nodes.place_of(node) for node in skin["joints"]])
+        joints = np.array([nodes.places[node] for node in skin["joints"]])
         inverse = np.tile(np.eye(4), (len(joints), 1, 1))
         if "inverseBindMatrices" in skin:
             rows = glb_scene.accessor(path, gltf, buffer, skin["inverseBindMatrices"])
@@ -184,10 +198,10 @@ def _clips(path: Path, gltf: dict[str, Any], buffer: bytes, nodes: Nodes) -> dic
         channels = []
         for channel in animation["channels"]:
             target = channel["target"]
-            if target["path"] not in PATHS or target.get("node") not in nodes.ids:
+            if target["path"] not in PATHS or target.get("node") not in nodes.places:
                 continue  # weights of morph targets, and nodes that move nothing
             sampler = animation["samplers"][channel["sampler"]]
-            joint = nodes.place_of(target["node"])
+            joint = nodes.places[target["node"]]
             channels.append(_channel(path, gltf, buffer, sampler, joint, target["path"], name))
         clips[name] = Clip(name, tuple(channels))
     return clips
@@ -205,6 +219,11 @@ def _channel(
         raise FormatError(
             f"{path}: damaged: the clip {shown(clip)} moves a {prop} by {shown(str(interpolation))} with "
             f"{len(times)} times and {len(values)} values, or its times do not ascend. Export the clip again."
+        )
+    if max(-times[0], times[-1]) > LONGEST:
+        raise FormatError(
+            f"{path}: damaged: the clip {shown(clip)} has times from {times[0]:g} to {times[-1]:g} seconds. "
+            "Clips of up to an hour are read. Export the clip again."
         )
     values = values.reshape(len(times), -1, width)
     if prop == "rotation":

@@ -18,6 +18,7 @@ from splatax.io.formats import glb, glb_scene
 from splatax.io.formats.glb_scene import EXTENSION
 from splatax.io.formats.marks import MIP, mark
 from splatax.io.formats.untrusted import structured
+from splatax.io.rigs.following import check_following
 from splatax.io.rigs.nodes import read_skeleton
 from splatax.io.rigs.writing import joints_attributes, write_skinned
 from splatax.low_pass import Antialiasing
@@ -28,11 +29,16 @@ from splatax.transforms import Similarity, half_turn
 PLACED = 1e-4  # difference from the identity up to which splats are in the bound pose as they are
 
 
-def save_rigged(path: str | Path, scene: RiggedScene) -> None:
+def save_rigged(path: str | Path, scene: RiggedScene, *, comments: tuple[str, ...] = ()) -> None:
     """Writes a rigged scene as a .glb file. Each Gaussian keeps its four strongest joints.
 
     Empty slots are left out, and broken Gaussians too, with a warning that counts them. The file names the
     low-pass filter of the scene.
+
+    Args:
+        path: path of the file.
+        scene: the Gaussians, their rig and its clips.
+        comments: lines to keep with the scene, beside the one that names its filter.
 
     Raises:
         FormatError: if the SH degree is above 3.
@@ -53,7 +59,7 @@ def save_rigged(path: str | Path, scene: RiggedScene) -> None:
     attributes = glb.attributes_of(half_turn(gaussians, axis=2))
     attributes |= joints_attributes(indices, weights, len(rig.skeleton))
     primitive = {"mode": 0, "extensions": {EXTENSION: glb.PROPERTIES}}
-    lines = (mark(whole.low_pass),)
+    lines = (mark(whole.low_pass), *comments)
     write_skinned(path, rig.skeleton, scene.clips, attributes, primitive, comments=lines)
 
 
@@ -91,9 +97,10 @@ def load_rigged(path: str | Path) -> RiggedScene:
         joints, weights = (
             glb_scene.accessor(path, gltf, buffer, attributes[name]) for name in ("JOINTS_0", "WEIGHTS_0")
         )
-        indices = binding.joints[number][joints.astype(np.int64)]
-        if not len(gaussians) == len(indices) == len(weights):
+        if not len(gaussians) == len(joints) == len(weights):
             raise FormatError(f"{path}: damaged: not every splat has joints and weights. Get the file again.")
+        known = binding.joints[number]
+        indices = known[check_following(path, joints, weights, len(known))]
         if MIP in glb.comments(path):
             gaussians = replace(gaussians, low_pass=Antialiasing())
     sums = np.maximum(weights.sum(axis=1, keepdims=True), 1e-12)

@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from splatax.io.files import write_whole
 from splatax.io.formats.glb_scene import EXTENSION
 from splatax.io.rigs.nodes import FRAME
+from splatax.math.srgb import to_linear
 from splatax.scene.body import Body, strongest
 from splatax.scene.clips import Clip
 from splatax.scene.skeleton import Skeleton
@@ -142,10 +143,11 @@ def joints_attributes(
 
 
 def save_body(path: str | Path, body: Body) -> None:
-    """Writes a body as a .glb file that other programs open too."""
+    """Writes a body as a .glb file that other programs open too, with the colours of its vertices."""
     surface = body.surface
     attributes = {
         "POSITION": (surface.vertices @ FRAME[:3, :3]).astype("<f4"),
+        "COLOR_0": to_linear(surface.colors).astype("<f4"),  # glTF's are linear light
         **joints_attributes(surface.indices, surface.weights, len(body.skeleton)),
     }
     write_skinned(Path(path), body.skeleton, body.clips, attributes, {"mode": 4}, surface.triangles)

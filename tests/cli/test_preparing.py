@@ -224,5 +224,5 @@ def test_given_poses_are_kept_where_adjusting_does_not_help(tmp_path, monkeypatc
 def test_a_damaged_file_of_poses_is_refused(tmp_path):
     capture, path = write_capture(tmp_path / "capture"), tmp_path / "poses.json"
     path.write_text('{"photo00.png": [[1, 0], [0, 1]]}')
-    with pytest.raises(FormatError, match="poses.json: damaged"):
+    with pytest.raises(FormatError, match=r"poses\.json: damaged"):
         preparing.loaded(Settings(capture, poses=path))

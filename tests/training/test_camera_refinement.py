@@ -71,7 +71,7 @@ KNOWN = replace(
 def test_turned_cameras_come_back():
     views = capture().train
     wrong = perturbed(views, 1 / 45)  # a pixel
-    state, found = learn(wrong, replace(KNOWN, camera_refinement=Poses(reach=0.1)), TRUTH)
+    state, found = learn(wrong, replace(KNOWN, camera_refinement=Poses(reach=0.1, longest=1.0)), TRUTH)
     assert angles(wrong, views).mean() > 0.02
     assert angles(found, views).mean() < 0.2 * angles(wrong, views).mean()
     assert_allclose(jnp.mean(state.cameras.values, axis=0), 0, atol=1e-6)
@@ -101,6 +101,25 @@ def test_the_steps_of_a_run_are_as_long_as_the_reach():
     visits = 500.0
     rates = [rate_for(0.02, visits, jnp.float32(i / visits)) for i in range(500)]
     assert_allclose(sum(rates), 0.02, rtol=0.01)
+
+
+def test_a_photo_that_is_seen_few_times_moves_by_a_fraction_of_a_pixel_a_step():
+    """In a short run, steps that add up to the whole reach would throw right poses off by pixels."""
+    views, poses = capture().train, Poses()
+    source, state = sources(views)[0], poses.init(len(views))
+    state = poses.update(state, source, jnp.full(6, 1e-9), jnp.float32(0), jnp.float32(10 * len(views)))
+    pixels = state.values[0] * views[0].camera.focal[0]
+    assert jnp.max(jnp.abs(pixels)) <= 0.15
+
+
+def test_the_reach_limits_the_steps_of_long_runs():
+    views, poses = capture().train, Poses()
+    source, visits = sources(views)[0], 5000
+    rate = rate_for(poses.reach, visits, jnp.float32(0))
+    assert rate < poses.longest * source.pixel
+    gradient, steps = jnp.full(6, 1e-9), jnp.float32(visits * len(views))
+    state = poses.update(poses.init(len(views)), source, gradient, jnp.float32(0), steps)
+    assert_allclose(state.values[0] - state.values[1], -rate, rtol=1e-3)
 
 
 def test_given_cameras_stay():

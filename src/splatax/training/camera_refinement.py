@@ -45,6 +45,7 @@ class Poses(PerView):
 
     WIDTH: ClassVar[int] = 6  # a rotation and a translation
     reach: float = 0.02  # length of all steps of a camera in a run together: radians, extents of the scene
+    longest: float = 0.15  # longest step, pixels of the photo; longer ones throw right poses off
 
     @jax.default_matmul_precision("highest")
     def __call__(self, parameters: Float[Array, "6"], camera: Camera, extent: Float[Array, ""]) -> Camera:
@@ -63,6 +64,7 @@ class Poses(PerView):
     ) -> PerPhoto:
         """Makes one step for one camera, then restores the mean twist to zero."""
         rate = rate_for(self.reach, steps / len(state.visits), progress)
+        rate = jnp.minimum(rate, self.longest * source.pixel * fall(progress))
         state = per_photo.updated(state, source.view, gradient, rate)
         return replace(state, values=per_photo.centred(state.values))
 
@@ -228,7 +230,12 @@ def check_lenses(name: str, views: Sequence[View]) -> None:
 def rate_for(reach: float, visits: Float[Array, ""] | float, progress: Float[Array, ""]) -> Float[Array, ""]:
     """Returns Adam's learning rate such that the steps of all visits together are `reach` long."""
     mean = (1 - FINAL_RATE) / -math.log(FINAL_RATE)  # of the rates over the run, as a fraction of the first
-    return per_photo.log_linear(1.0, FINAL_RATE, progress) * (reach / (mean * visits))
+    return fall(progress) * (reach / (mean * visits))
+
+
+def fall(progress: Float[Array, ""]) -> Float[Array, ""]:
+    """Returns the learning rate as a fraction of that at the start."""
+    return per_photo.log_linear(1.0, FINAL_RATE, progress)
 
 
 def refined(

@@ -13,7 +13,17 @@ import splatax as sx
 from scenes import random_gaussians
 from splatax.cameras.lenses import Pinhole, opencv
 from splatax.math import rigid
-from splatax.training.camera_refinement import Distortion, Focal, Poses, Together, rate_for, refined
+from splatax.training.camera_refinement import (
+    MANY,
+    Distortion,
+    Focal,
+    Placed,
+    Poses,
+    Together,
+    rate_for,
+    refined,
+    unshared,
+)
 from splatax.training.density import NoDensityControl
 from splatax.training.feed import batches, sources
 from splatax.training.loop import first_state, optimize
@@ -110,6 +120,21 @@ def test_a_photo_that_is_seen_few_times_moves_by_a_fraction_of_a_pixel_a_step():
     state = poses.update(state, source, jnp.full(6, 1e-9), jnp.float32(0), jnp.float32(10 * len(views)))
     pixels = state.values[0] * views[0].camera.focal[0]
     assert jnp.max(jnp.abs(pixels)) <= 0.15
+
+
+@pytest.mark.parametrize(("photos", "left"), [(MANY, 0.0), (MANY - 1, 0.5)])
+def test_many_cameras_together_do_not_turn_move_grow_or_bend(photos, left):
+    """What the scene can follow is no correction of a single camera. Few cameras keep all but their mean."""
+    rng = np.random.default_rng(0)
+    places = rng.normal(size=(photos, 3)) * [3, 1, 2] + 5
+    common = rng.normal(size=6) + places @ rng.normal(size=(3, 6))
+    table = Poses().init(photos)
+    visited = table.opt_state._replace(count=jnp.ones(photos, jnp.int32))
+    table = Placed(jnp.asarray(common, jnp.float32), visited, jnp.asarray(places, jnp.float32))
+    remaining = jnp.linalg.norm(unshared(table)) / jnp.linalg.norm(table.values - table.values.mean(0))
+    assert remaining <= 0.02 if left == 0 else remaining > left
+    one = jnp.zeros((photos, 6)).at[3, 1].set(1.0)  # the error of one camera stays
+    assert unshared(replace(table, values=one))[3, 1] > 0.5
 
 
 def test_the_reach_limits_the_steps_of_long_runs():

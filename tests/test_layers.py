@@ -14,7 +14,7 @@ LAYERS = (  # lowest first; a package stands for all its modules
     {"footprints", "projection", "surfaces", "sky", "losses", "metrics", "lpips", "io"},
     {"backends"},
     {"drawn", "surface_outputs", "outputs", "stages", "rendering", "trajectories"},
-    {"training", "evaluation", "geometry_scores", "editing", "sensors"},
+    {"training", "evaluation", "adjustment", "geometry_scores", "editing", "sensors"},
     {"demo", "bench", "reconstruction", "mesh", "notebook", "twins", "web"},
     {"runs"},
     {"inspection"},

@@ -49,6 +49,7 @@ HOMES = {  # public name -> module here that defines it
     "view": "notebook",
 }
 SUBMODULES = {  # public name -> module here
+    "adjustment": "adjustment",
     "backends": "backends",
     "editing": "editing",
     "forecast": "runs.forecast",
@@ -72,6 +73,7 @@ SUBMODULES = {  # public name -> module here
 }
 
 if TYPE_CHECKING:  # the same names, for type checkers and editors; tests/test_importing.py compares them
+    from splatax import adjustment as adjustment
     from splatax import backends as backends
     from splatax import editing as editing
     from splatax import inspection as inspection

@@ -107,6 +107,21 @@ def test_eval_measures_lpips_with_the_weights_it_is_given(trained, capture, tmp_
     assert f"{scores['lpips']:.4f}" in capsys.readouterr().out
 
 
+def test_eval_scores_adjusted_poses_beside_the_given_ones(trained, capture, tmp_path, capsys):
+    out = tmp_path / "scores.json"
+    cli.main(["eval", str(trained), str(capture), "--adjust-poses", "--out", str(out)])
+    scores, metrics = read_json(out), read_json(trained / "metrics.json")
+    assert scores["views"] == metrics["test"]["views"]  # with given poses, as without the option
+    adjusted = scores["adjusted_poses"]
+    assert adjusted["psnr"] >= scores["psnr"] - 0.01
+    assert [view["name"] for view in adjusted["views"]] == [view["name"] for view in scores["views"]]
+    assert all(view["motion"] >= 0 for view in adjusted["views"])
+    assert "adjusted to that photo" in adjusted["protocol"]["poses"]
+    printed = capsys.readouterr().out
+    assert f"{adjusted['psnr']:.3f} dB" in printed
+    assert metrics["adjusted_poses"] is None  # nothing was done to training poses
+
+
 def test_render_writes_colour_and_depth_of_the_split(trained, capture, tmp_path):
     out = tmp_path / "pictures"
     cli.main(["render", str(trained), str(capture), "--out", str(out)])

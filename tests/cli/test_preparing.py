@@ -1,6 +1,7 @@
 """What training decides after a look at a capture, and captures without points."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,8 +14,10 @@ from splatax import cli
 from splatax.cli import preparing, train
 from splatax.cli.settings import Settings
 from splatax.dataset import PointCloud
+from splatax.errors import FormatError
 from splatax.inspection.decisions import Findings
 from splatax.io.datasets.points import read_points, write_points
+from splatax.reconstruction.bundle import Adjustment
 
 FOUND = PointCloud(np.tile(POINTS + [0, 0, 5], (4, 1)).astype(np.float32), np.full((120, 3), 0.2, np.float32))
 
@@ -166,3 +169,60 @@ def test_a_run_on_all_photos_does_not_pass_for_a_test(tmp_path):
 def test_version_is_printed(capsys):
     cli.main(["--version"])
     assert capsys.readouterr().out == f"splatax {sx.__version__}\n"
+
+
+def adjusted_to(monkeypatch, helps):
+    """Bundle adjustment finds all training cameras a little to the right, which helps or does not."""
+
+    def found(views, **_):
+        shift = np.eye(4, dtype=np.float32)
+        shift[0, 3] = 0.01
+        moved = tuple(
+            replace(v, camera=replace(v.camera, cam_from_world=shift @ v.camera.cam_from_world))
+            for v in views
+        )
+        return Adjustment(moved if helps else tuple(views), 0.9, 0.4 if helps else 0.95, 0.31, 2000)
+
+    monkeypatch.setattr(preparing.bundle, "adjusted_poses", found)
+
+
+def test_adjusted_poses_are_trained_on_said_and_kept_for_repeating(tmp_path, monkeypatch, capsys):
+    adjusted_to(monkeypatch, helps=True)
+    capture, run = write_capture(tmp_path / "capture"), tmp_path / "run"
+    settings, dataset = prepared(capture, tmp_path / "out", adjust_poses=True)
+    given = preparing.loaded(Settings(capture))
+    assert settings.poses == tmp_path / "out" / "poses.json"
+    assert "reprojection error 0.90 to 0.40 px" in capsys.readouterr().out
+    again = preparing.loaded(settings)  # as a resumed run does
+    for ours, theirs, before in zip(dataset.train, again.train, given.train, strict=True):
+        assert_array_equal(ours.camera.cam_from_world, theirs.camera.cam_from_world)
+        assert not np.array_equal(ours.camera.cam_from_world, before.camera.cam_from_world)
+    for ours, before in zip(again.test, given.test, strict=True):  # held out: no part in it
+        assert_array_equal(ours.camera.cam_from_world, before.camera.cam_from_world)
+
+    options = ["--out", str(run), "--steps", "2", "--adjust-poses"]
+    cli.main(["train", str(capture), *options])
+    adjusted = json.loads((run / "metrics.json").read_text())["adjusted_poses"]
+    assert len(adjusted["views"]) == len(given.test)
+    assert "with poses adjusted to these photos" in (run / "report.html").read_text()
+    monkeypatch.setattr(preparing.bundle, "adjusted_poses", None)  # not asked again
+    cli.main(["train", "--repeat", str(run), "--out", str(tmp_path / "again")])
+    assert (tmp_path / "again" / "scene.ply").read_bytes() == (run / "scene.ply").read_bytes()
+
+
+def test_given_poses_are_kept_where_adjusting_does_not_help(tmp_path, monkeypatch, capsys):
+    adjusted_to(monkeypatch, helps=False)
+    settings, dataset = prepared(write_capture(tmp_path / "capture"), tmp_path / "out", adjust_poses=True)
+    given = preparing.loaded(Settings(tmp_path / "capture"))
+    assert settings.poses is None
+    assert not (tmp_path / "out" / "poses.json").exists()
+    assert "given poses kept, as adjusting them does not help" in capsys.readouterr().out
+    for ours, before in zip(dataset.train, given.train, strict=True):
+        assert_array_equal(ours.camera.cam_from_world, before.camera.cam_from_world)
+
+
+def test_a_damaged_file_of_poses_is_refused(tmp_path):
+    capture, path = write_capture(tmp_path / "capture"), tmp_path / "poses.json"
+    path.write_text('{"photo00.png": [[1, 0], [0, 1]]}')
+    with pytest.raises(FormatError, match=r"poses\.json: damaged"):
+        preparing.loaded(Settings(capture, poses=path))

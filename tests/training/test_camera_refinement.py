@@ -13,7 +13,17 @@ import splatax as sx
 from scenes import random_gaussians
 from splatax.cameras.lenses import Pinhole, opencv
 from splatax.math import rigid
-from splatax.training.camera_refinement import Distortion, Focal, Poses, Together, rate_for, refined
+from splatax.training.camera_refinement import (
+    MANY,
+    Distortion,
+    Focal,
+    Placed,
+    Poses,
+    Together,
+    rate_for,
+    refined,
+    unshared,
+)
 from splatax.training.density import NoDensityControl
 from splatax.training.feed import batches, sources
 from splatax.training.loop import first_state, optimize
@@ -71,7 +81,7 @@ KNOWN = replace(
 def test_turned_cameras_come_back():
     views = capture().train
     wrong = perturbed(views, 1 / 45)  # a pixel
-    state, found = learn(wrong, replace(KNOWN, camera_refinement=Poses(reach=0.1)), TRUTH)
+    state, found = learn(wrong, replace(KNOWN, camera_refinement=Poses(reach=0.1, longest=1.0)), TRUTH)
     assert angles(wrong, views).mean() > 0.02
     assert angles(found, views).mean() < 0.2 * angles(wrong, views).mean()
     assert_allclose(jnp.mean(state.cameras.values, axis=0), 0, atol=1e-6)
@@ -101,6 +111,41 @@ def test_the_steps_of_a_run_are_as_long_as_the_reach():
     visits = 500.0
     rates = [rate_for(0.02, visits, jnp.float32(i / visits)) for i in range(500)]
     assert_allclose(sum(rates), 0.02, rtol=0.01)
+
+
+def test_a_photo_that_is_seen_few_times_moves_by_a_fraction_of_a_pixel_a_step():
+    """In a short run, steps that add up to the whole reach would throw right poses off by pixels."""
+    views, poses = capture().train, Poses()
+    source, state = sources(views)[0], poses.init(len(views))
+    state = poses.update(state, source, jnp.full(6, 1e-9), jnp.float32(0), jnp.float32(10 * len(views)))
+    pixels = state.values[0] * views[0].camera.focal[0]
+    assert jnp.max(jnp.abs(pixels)) <= 0.15
+
+
+@pytest.mark.parametrize(("photos", "left"), [(MANY, 0.0), (MANY - 1, 0.5)])
+def test_many_cameras_together_do_not_turn_move_grow_or_bend(photos, left):
+    """What the scene can follow is no correction of a single camera. Few cameras keep all but their mean."""
+    rng = np.random.default_rng(0)
+    places = rng.normal(size=(photos, 3)) * [3, 1, 2] + 5
+    common = rng.normal(size=6) + places @ rng.normal(size=(3, 6))
+    table = Poses().init(photos)
+    visited = table.opt_state._replace(count=jnp.ones(photos, jnp.int32))
+    table = Placed(jnp.asarray(common, jnp.float32), visited, jnp.asarray(places, jnp.float32))
+    spread = table.values - table.values.mean(0, keepdims=True)
+    remaining = jnp.linalg.norm(unshared(table)) / jnp.linalg.norm(spread)
+    assert remaining <= 0.02 if left == 0 else remaining > left
+    one = jnp.zeros((photos, 6)).at[0, 1].set(1.0)  # the error of one camera stays
+    assert unshared(replace(table, values=one))[0, 1] > 0.5
+
+
+def test_the_reach_limits_the_steps_of_long_runs():
+    views, poses = capture().train, Poses()
+    source, visits = sources(views)[0], 5000.0
+    rate = rate_for(poses.reach, visits, jnp.float32(0))
+    assert rate < poses.longest * source.pixel
+    gradient, steps = jnp.full(6, 1e-9), jnp.float32(visits * len(views))
+    state = poses.update(poses.init(len(views)), source, gradient, jnp.float32(0), steps)
+    assert_allclose(state.values[0] - state.values[1], -rate, rtol=1e-3)
 
 
 def test_given_cameras_stay():
@@ -135,7 +180,7 @@ def test_refinement_recovers_what_cameras_wrong_by_a_pixel_cost(data):
     before, after = (1e3 * angles(views, dataset.train).mean() for views in (wrong.train, found))
     print(f"PSNR {right:.2f}, {lost:.2f}, {regained:.2f} dB; angles {before:.2f}, {after:.2f} mrad")
     assert right - lost > 1
-    assert regained - lost > 0.6 * (right - lost)
+    assert regained - lost > 0.15 * (right - lost)  # the part linear in the places stays
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ from rich.table import Column, Table
 
 import splatax as sx
 from splatax import lpips
+from splatax.adjustment import AdjustedScores, evaluate_adjusted
 from splatax.cli.options import (
     BackendName,
     BackgroundOption,
@@ -21,12 +22,13 @@ from splatax.cli.options import (
     load_scene,
     read_model,
     resolve_backend,
+    shown_as,
 )
 from splatax.cli.output import cell, say, show
 from splatax.errors import InputError
 from splatax.geometry_scores import GeometryScores, as_json, evaluate_geometry
 from splatax.runs.records import write_json
-from splatax.runs.results import measures_of, protocol, scores_as_json
+from splatax.runs.results import adjusted_as_json, measures_of, protocol, scores_as_json
 
 LABELS = {"psnr": "PSNR, dB", "ssim": "SSIM", "corrected_psnr": "corrected, dB", "lpips": "LPIPS"}
 DECIMALS = {"psnr": 3, "ssim": 4, "corrected_psnr": 3, "lpips": 4}
@@ -55,6 +57,10 @@ class Evaluate:
     """JSON file for the scores. By default eval.json beside the model."""
     lpips: PathOption = None
     """Also compute LPIPS, with the weights in this .npz file (docs/evaluation.md says how to make it)."""
+    adjust_poses: Annotated[bool, shown_as()] = False
+    """Also score each photo with the pose that fits it best, found from the given pose on the finished scene.
+    The difference is what errors of the given poses cost. These are not scores of new views: each pose has
+    seen its photo. By default off."""
     downscale: DownscaleOption = None
     """Divide the width and height of photos by this number. "auto": the smallest factor that brings the long
     side down to 1600 pixels. By default as in training, else "auto"."""
@@ -74,9 +80,15 @@ class Evaluate:
         renderer = sx.Renderer(background, backend=resolve_backend(self.backend))
         scores = sx.evaluate(model.gaussians, views, renderer=renderer, lpips=perceptual)
         geometry = evaluate_geometry(model.gaussians, views, renderer=renderer)
+        fitted = None
+        if self.adjust_poses:
+            fitted = evaluate_adjusted(model.gaussians, views, renderer=renderer, lpips=perceptual)
         how = protocol(background, dataset) | ({"lpips": perceptual.protocol} if perceptual else {})
         show(table_of(scores))
         say(f"worst   {scores.worst.name}, {scores.worst.psnr:.3f} dB")
+        if fitted:
+            show(table_of(fitted.scores, "view, pose adjusted"))
+            say(adjusted_in_words(scores, fitted))
         masked = sum(view.mask is not None for view in views)
         for name in [*measures_of(scores), *(["masks"] if masked else [])]:
             show(cell(f"{LABELS.get(name, name)}: {how[name]}", "dim"))
@@ -92,15 +104,16 @@ class Evaluate:
             "split": self.split,
             "protocol": how,
         }
+        contents["adjusted_poses"] = adjusted_as_json(fitted) if fitted else None
         contents["geometry"] = as_json(geometry) if geometry else None
         write_json(out, contents | scores_as_json(scores))
         say(f"scores  {out}")
 
 
-def table_of(scores: sx.Scores) -> Table:
+def table_of(scores: sx.Scores, title: str = "view") -> Table:
     """Returns a table with a row for each view, and one for the means."""
     measured = measures_of(scores)
-    table = Table("view", *(Column(LABELS[name], justify="right") for name in measured))
+    table = Table(title, *(Column(LABELS[name], justify="right") for name in measured))
 
     def add(label: str, measures: dict[str, float]) -> None:
         table.add_row(cell(label), *(f"{value:.{DECIMALS[name]}f}" for name, value in measures.items()))
@@ -110,6 +123,15 @@ def table_of(scores: sx.Scores) -> Table:
     table.add_section()
     add("mean", measured)
     return table
+
+
+def adjusted_in_words(given: sx.Scores, fitted: AdjustedScores) -> str:
+    """Returns what adjusting the poses of the photos changed, in one line."""
+    gain = fitted.scores.psnr - given.psnr
+    return (
+        f"with each photo's pose adjusted to it on the finished scene: {fitted.scores.psnr:.3f} dB "
+        f"({gain:+.3f}), moved by {fitted.motion:.2f} px (median)"
+    )
 
 
 def words_of(scores: GeometryScores) -> list[str]:

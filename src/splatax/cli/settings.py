@@ -67,6 +67,8 @@ class Settings:
     low_pass: LowPassName = "dilation"
     appearance: AppearanceName = "auto"
     refine: RefinementName = "none"
+    adjust_poses: bool = False
+    poses: Path | None = None  # file of adjusted poses, once they are found
     geometry: bool = False
     backend: BackendName = "auto"
     seed: int = 0
@@ -108,6 +110,7 @@ class Settings:
             hold_out=hold_out,
             leave_out=self.leave_out if self.leave_out in ("auto", "none") else leave_out,
             points=self.points and self.points.absolute(),
+            poses=self.poses and self.poses.absolute(),
             judged_by=self.judged_by and self.judged_by.absolute(),
         )
 

@@ -118,9 +118,13 @@ class Method:
     compared as they are, and once more after a color correction."""
     refine: Annotated[RefinementName | None, shown_as()] = None
     """Optimize the training cameras: their poses, focal lengths, lenses (focal lengths and distortion), or
-    motion during the exposure (a rolling shutter). Use it only for what is inaccurate; accurate poses get
-    worse. Writes the cameras to refined/sparse/0. Cameras of held-out photos stay as given. By default
+    motion during the exposure (a rolling shutter). Use it only for what is inaccurate; accurate poses gain
+    nothing. Writes the cameras to refined/sparse/0. Cameras of held-out photos stay as given. By default
     none."""
+    adjust_poses: Annotated[bool, shown_as()] = False
+    """Adjust the poses of training photos to matched features before training (bundle adjustment). The given
+    poses are kept if that does not lower the reprojection error of points kept aside. Held-out photos have no
+    part in it, keep their poses, and are also scored with poses adjusted to them. By default off."""
     geometry: Annotated[bool, shown_as()] = False
     """Make the Gaussians lie on surfaces, for accurate depth, normals and meshes. Adds penalties on the
     spread of depth along each ray, and on depths that differ from those of the capture's own points or depth

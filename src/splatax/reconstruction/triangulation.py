@@ -1,7 +1,8 @@
 """Triangulates points from photos whose cameras are known, for captures that come without points."""
 
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     import pycolmap
 
 STAGES = ("reading", "features", "matches", "points")
+DATABASE = "database.db"  # of features and matches, in the temporary folder
 FEWEST_VIEWS = 2
 SMALL = 800  # pixels of the longer side, up to which smaller features take little time
 VERY_FEW_VIEWS = 30  # up to which points that only two views see are kept
@@ -47,35 +49,58 @@ def triangulated(
     """
     import pycolmap
 
-    parallel = any(isinstance(view.camera.lens, Orthographic) for view in views)
-    if len(views) < FEWEST_VIEWS or parallel:
+    if not matchable(views):
         return PointCloud(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32))
-    pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL.value
-    with tempfile.TemporaryDirectory(prefix="splatax-") as folder:
-        work = Path(folder)
-        names = [f"{number:06}.jpg" for number in range(len(views))]
-        masks = write_photos(views, names, work, partial(watch, "reading"))
-        model = model_of_cameras(zip(names, (view.camera for view in views), strict=True))
-        database = work / "database.db"
-        with mapping.opened(database) as empty:
-            register(empty, model)
-        features = features_of(views)
-        mapping.extract(database, work / "photos", features, partial(watch, "features"), masks)
-        pairing: Pairing = Exhaustive() if len(views) <= FEW else Similar()
-        mapping.match(database, pairing, seed, partial(watch, "matches"))
+    with matched(views, seed, watch) as (model, work):
         watch("points", 0, 1)
-        (work / "model").mkdir()
         options = pycolmap.IncrementalPipelineOptions()
         options.random_seed = seed
         options.triangulation.random_seed = seed
         options.triangulation.ignore_two_view_tracks = len(views) > VERY_FEW_VIEWS
-        found = pycolmap.triangulate_points(model, database, work / "photos", work / "model", options=options)
+        found = pycolmap.triangulate_points(
+            model, work / DATABASE, work / "photos", work / "model", options=options
+        )
         watch("points", 1, 1)
     points = list(found.points3D.values())
     positions = np.array([point.xyz for point in points], np.float32).reshape(-1, 3)
     colors = np.array([point.color for point in points], np.float32).reshape(-1, 3) / 255
     finite = np.isfinite(positions).all(axis=1)
     return PointCloud(positions[finite], colors[finite])
+
+
+def matchable(views: Sequence[View]) -> bool:
+    """Returns whether there are enough views, all with lenses that COLMAP has, for `matched`."""
+    parallel = any(isinstance(view.camera.lens, Orthographic) for view in views)
+    return len(views) >= FEWEST_VIEWS and not parallel
+
+
+@contextmanager
+def matched(
+    views: Sequence[View], seed: int, watch: Watch
+) -> "Iterator[tuple[pycolmap.Reconstruction, Path]]":
+    """Matches features of the views, in a temporary folder that is removed at the end.
+
+    Yields:
+        A model of the given cameras without points, whose images are numbered from 1 in the order of the
+        views; and the folder. It has the photos in "photos", the database `DATABASE`, and an empty folder
+        "model".
+    """
+    import pycolmap
+
+    pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL.value
+    with tempfile.TemporaryDirectory(prefix="splatax-") as folder:
+        work = Path(folder)
+        names = [f"{number:06}.jpg" for number in range(len(views))]
+        masks = write_photos(views, names, work, partial(watch, "reading"))
+        model = model_of_cameras(zip(names, (view.camera for view in views), strict=True))
+        database = work / DATABASE
+        with mapping.opened(database) as empty:
+            register(empty, model)
+        mapping.extract(database, work / "photos", features_of(views), partial(watch, "features"), masks)
+        pairing: Pairing = Exhaustive() if len(views) <= FEW else Similar()
+        mapping.match(database, pairing, seed, partial(watch, "matches"))
+        (work / "model").mkdir()
+        yield model, work
 
 
 def write_photos(

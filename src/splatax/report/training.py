@@ -65,6 +65,7 @@ def measures(results: Results, scores: Scores) -> dict[str, str]:
         psnr = {f"PSNR of {count} held-out photos": f"{scores.psnr:.2f} dB"}
         return {
             **(corrected | psnr if results.compensates else psnr | corrected),
+            **adjusted_measures(results),
             "SSIM": f"{scores.ssim:.4f}",
             f"worst photo, {scores.worst.name}": f"{scores.worst.psnr:.2f} dB",
         }
@@ -80,6 +81,16 @@ def measures(results: Results, scores: Scores) -> dict[str, str]:
     if results.compensates:
         measured.reverse()
     return {label: f"{value:.2f} dB" for label, value in measured} | seen
+
+
+def adjusted_measures(results: Results) -> dict[str, str]:
+    """Returns the PSNR of held-out photos with adjusted poses as label and value; nothing without them."""
+    adjusted = results.adjusted
+    if adjusted is None:
+        return {}
+    psnr = adjusted.scores.corrected_psnr if results.compensates else adjusted.scores.psnr
+    kind = "colour-corrected PSNR" if results.compensates else "PSNR"
+    return {f"{kind} with poses adjusted to these photos": f"{psnr:.2f} dB"}
 
 
 def notes(results: Results) -> list[str]:

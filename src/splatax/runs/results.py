@@ -10,6 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from splatax.adjustment import PROTOCOL as ADJUSTED_PROTOCOL
+from splatax.adjustment import AdjustedScores, evaluate_adjusted
 from splatax.dataset import Dataset, Mask, View
 from splatax.errors import InputError
 from splatax.evaluation import PROTOCOL, Scores, ViewScore, compared
@@ -85,6 +87,13 @@ class Results:
         """True if the training cameras were refined, so that there is a model of them."""
         return not isinstance(self.recipe.camera_refinement, FixedCameras)
 
+    @cached_property
+    def adjusted(self) -> AdjustedScores | None:
+        """Scores of the held-out views with adjusted poses; None unless the run changed training poses."""
+        if not (self.dataset.test and (self.refines_cameras or self.options.get("adjust_poses"))):
+            return None
+        return evaluate_adjusted(self.gaussians, self.dataset.test, renderer=self.recipe.renderer)
+
     @property
     def compensates(self) -> bool:
         """True if the exposure of each training photo was learned, so held-out ones may differ in theirs."""
@@ -121,6 +130,7 @@ class Results:
         """Returns what was measured and how, for metrics.json."""
         return {
             "test": scores_as_json(test) if test else None,
+            "adjusted_poses": adjusted_as_json(self.adjusted) if self.adjusted else None,
             "masked_test_views": sum(view.mask is not None for view in self.dataset.test),
             "train_seconds": self.history.train_seconds,
             "steps": self.history.steps,
@@ -243,6 +253,15 @@ def scores_as_json(scores: Scores) -> dict[str, Any]:
     worst = {"name": scores.worst.name, "psnr": scores.worst.psnr}
     views = [{"name": view.name} | measures_of(view) for view in scores.views]
     return measures_of(scores) | {"worst": worst, "views": views}
+
+
+def adjusted_as_json(adjusted: AdjustedScores) -> dict[str, Any]:
+    """Returns the scores with adjusted poses, and how far each picture moved, as JSON values."""
+    scores = scores_as_json(adjusted.scores)
+    for view, motion in zip(scores["views"], adjusted.motions, strict=True):
+        view["motion"] = motion
+    how = {"poses": ADJUSTED_PROTOCOL, "motion": "median over the Gaussians in the picture, pixels"}
+    return scores | {"motion": adjusted.motion, "protocol": how}
 
 
 def measures_of(scores: Scores | ViewScore) -> dict[str, float]:

@@ -20,6 +20,8 @@ from splatax.training.feed import sources
 from splatax.training.per_photo import NoParameters, PerPhoto, PerView
 from splatax.training.protocols import CameraRefinement, Source
 
+MANY = 12  # photos from which the common part of their twists includes what is linear in their places
+FLAT = 1e-3  # relative variance of the places in a direction, below which they count as equal in it
 FINAL_RATE = 0.01  # learning rate at the end, as a fraction of that at the start (as in gsplat)
 
 
@@ -32,19 +34,38 @@ class FixedCameras(NoParameters):
         return camera
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Placed(PerPhoto):
+    """A table of parameters of photos, with the places where they were taken.
+
+    Attributes:
+        places: optical centres as given, world units; zero before the first step of a photo.
+    """
+
+    places: Float[Array, "photos 3"]
+
+
 @dataclass(frozen=True)
 class Poses(PerView):
     """Learns a twist for each training camera, multiplied to `cam_from_world` from the left.
 
     A twist turns a camera about its own centre and translates it. Its six numbers are along the axes of
-    the world, in radians and extents of the scene. All cameras can turn and move together with the scene
-    without changing any rendering (gauge freedom), so the mean twist over the photos is held at zero.
-    This distributes the common error of the given poses evenly; fixing one camera instead would make the
-    others follow the error of that camera.
+    the world, in radians and extents of the scene. All cameras can turn, move and grow together with the
+    scene without changing any rendering (gauge freedom), and bend together almost without changing any. The
+    scene then leaves the held-out cameras, so the twists have neither a mean nor a part that is linear in the
+    place of the camera. With fewer photos than `MANY`, only the mean is held at zero. The common error of the
+    given poses remains; fixing one camera instead would make the others follow the error of that camera.
     """
 
     WIDTH: ClassVar[int] = 6  # a rotation and a translation
     reach: float = 0.02  # length of all steps of a camera in a run together: radians, extents of the scene
+    longest: float = 0.15  # longest step, pixels of the photo; longer ones throw right poses off
+
+    def init(self, photos: int) -> Placed:
+        """Returns the table before the first step."""
+        table = per_photo.zeros(photos, self.WIDTH)
+        return Placed(table.values, table.opt_state, jnp.zeros((photos, 3)))
 
     @jax.default_matmul_precision("highest")
     def __call__(self, parameters: Float[Array, "6"], camera: Camera, extent: Float[Array, ""]) -> Camera:
@@ -55,16 +76,18 @@ class Poses(PerView):
 
     def update(
         self,
-        state: PerPhoto,
+        state: Placed,
         source: Source,
         gradient: Float[Array, "6"],
         progress: Float[Array, ""],
         steps: Float[Array, ""],
-    ) -> PerPhoto:
-        """Makes one step for one camera, then restores the mean twist to zero."""
+    ) -> Placed:
+        """Makes one step for one camera, then removes what the cameras have in common."""
         rate = rate_for(self.reach, steps / len(state.visits), progress)
+        rate = jnp.minimum(rate, self.longest * source.pixel * fall(progress))
         state = per_photo.updated(state, source.view, gradient, rate)
-        return replace(state, values=per_photo.centred(state.values))
+        state = replace(state, places=state.places.at[source.view].set(source.place))
+        return replace(state, values=unshared(state))
 
 
 class PerLens:
@@ -228,7 +251,26 @@ def check_lenses(name: str, views: Sequence[View]) -> None:
 def rate_for(reach: float, visits: Float[Array, ""] | float, progress: Float[Array, ""]) -> Float[Array, ""]:
     """Returns Adam's learning rate such that the steps of all visits together are `reach` long."""
     mean = (1 - FINAL_RATE) / -math.log(FINAL_RATE)  # of the rates over the run, as a fraction of the first
-    return per_photo.log_linear(1.0, FINAL_RATE, progress) * (reach / (mean * visits))
+    return fall(progress) * (reach / (mean * visits))
+
+
+@jax.default_matmul_precision("highest")
+def unshared(table: Placed) -> Float[Array, "photos 6"]:
+    """Returns the twists without their mean and, of many photos, without their part linear in the places."""
+    values = per_photo.centred(table.values)
+    if len(values) < MANY:
+        return values
+    seen = (table.visits > 0).astype(values.dtype)[:, None]
+    count = jnp.maximum(jnp.sum(seen), 1)
+    offsets = seen * (table.places - jnp.sum(seen * table.places, axis=0, keepdims=True) / count)
+    offsets = offsets / jnp.sqrt(jnp.maximum(jnp.sum(offsets * offsets) / count, 1e-20))
+    moments = offsets.T @ offsets + FLAT * count * jnp.eye(3)
+    return values - offsets @ jnp.linalg.solve(moments, offsets.T @ values)
+
+
+def fall(progress: Float[Array, ""]) -> Float[Array, ""]:
+    """Returns the learning rate as a fraction of that at the start."""
+    return per_photo.log_linear(1.0, FINAL_RATE, progress)
 
 
 def refined(

@@ -130,7 +130,10 @@ def sources(views: Sequence[View]) -> list[Source]:
         camera = view.camera
         numbers, kind = jax.tree.flatten((camera.focal, camera.center, camera.lens))
         key = (kind, camera.width, camera.height, *(np.asarray(number).tobytes() for number in numbers))
-        found.append(Source(np.int32(index), np.int32(lenses.setdefault(key, len(lenses)))))
+        pixel = 1 / np.mean(np.asarray(camera.focal, np.float64))
+        lens = np.int32(lenses.setdefault(key, len(lenses)))
+        place = np.asarray(camera.position, np.float32)
+        found.append(Source(np.int32(index), lens, np.float32(pixel), place))
     return found
 
 

@@ -1,7 +1,7 @@
 """Parameters of each training photo, learned by an Adam that keeps a state of its own for every photo."""
 
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +12,9 @@ from jaxtyping import Array, Float, Int
 from splatax.training.protocols import Source
 
 ADAM = optax.scale_by_adam(b1=0.9, b2=0.999, eps=1e-15)  # as for the Gaussians
+
+
+Rows = TypeVar("Rows", bound="PerPhoto")
 
 
 @jax.tree_util.register_dataclass
@@ -72,8 +75,8 @@ def zeros(photos: int, width: int) -> PerPhoto:
 
 
 def updated(
-    table: PerPhoto, index: Int[Array, ""] | np.int32, gradient: Float[Array, " width"], rate: Array
-) -> PerPhoto:
+    table: Rows, index: Int[Array, ""] | np.int32, gradient: Float[Array, " width"], rate: Array
+) -> Rows:
     """Makes one step of Adam in one row and leaves the other rows as they are.
 
     An Adam over the whole table would keep moving the rows of photos that the step does not show,
@@ -81,9 +84,10 @@ def updated(
     """
     row = jax.tree.map(lambda leaf: leaf[index], table.opt_state)
     direction, row = ADAM.update(gradient, row)
-    return PerPhoto(
-        table.values.at[index].add(-rate * direction),
-        jax.tree.map(lambda leaf, new: leaf.at[index].set(new), table.opt_state, row),
+    return replace(
+        table,
+        values=table.values.at[index].add(-rate * direction),
+        opt_state=jax.tree.map(lambda leaf, new: leaf.at[index].set(new), table.opt_state, row),
     )
 
 

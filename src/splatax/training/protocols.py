@@ -25,10 +25,12 @@ from splatax.training.objectives import Prior as Prior
 
 
 class Source(NamedTuple):
-    """The indices, from 0, of the training photo that a batch shows and of the lens that took it."""
+    """The training photo that a batch shows."""
 
-    view: Int[Array, ""] | np.int32
-    lens: Int[Array, ""] | np.int32
+    view: Int[Array, ""] | np.int32  # index of the photo, from 0
+    lens: Int[Array, ""] | np.int32  # index of the lens that took it, from 0
+    pixel: Float[Array, ""] | np.float32 = np.float32(1e-3)  # angle of a pixel of the full photo, radians
+    place: Float[Array, "3"] | Float[np.ndarray, "3"] = np.zeros(3, np.float32)  # optical centre as given
 
 
 @jax.tree_util.register_dataclass

@@ -31,11 +31,18 @@ class Deadline:
 
     at: float
 
-    def left(self, dataset: Dataset) -> float:
-        """Returns the seconds that are left for training, at least 1: results have to be written too."""
+    def left(self, dataset: Dataset, slowness: float = 1.0) -> float:
+        """Returns the seconds that are left for training, at least 1: results have to be written too.
+
+        Args:
+            dataset: the capture, whose held-out photos are scored.
+            slowness: time that work takes now, over the time that it takes if nothing else runs. Less than 1
+                counts as 1.
+        """
         views = dataset.test or dataset.train[:SHOWN]
         pixels = sum(view.camera.width * view.camera.height for view in views)
-        return max(self.at - time.monotonic() - WRITING - SCORING * pixels, 1.0)
+        writing = max(slowness, 1.0) * (WRITING + SCORING * pixels)
+        return max(self.at - time.monotonic() - writing, 1.0)
 
 
 @dataclass(frozen=True)

@@ -72,7 +72,7 @@ def in_faces(room: Dataset) -> Dataset:
     return replace(room, train=tuple(views))
 
 
-def compare(steps: int = 600, gaussians: int = 12_000) -> None:
+def compare(steps: int = 400, gaussians: int = 10_000) -> None:
     """Prints the scores on ordinary photos of the room, which no run has seen."""
     room = demo_dataset(scene="room", width=160, height=120)
     faces = in_faces(room)

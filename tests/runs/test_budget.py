@@ -115,7 +115,7 @@ def test_what_is_done_between_steps_counts_where_the_whole_command_is_limited():
     chosen = plan(SLOW, limit, first, room=100_000)
     pictures = 0.0
     clock = Clock(seconds=limit, expected=Expected(SLOW, first, chosen.max_gaussians))
-    clock.left = lambda slowness: limit - seconds - pictures
+    clock.left = lambda: limit - seconds - pictures
     total, seconds, step = chosen.steps, 0.0, 0
     while step < total:
         step += 1

@@ -245,14 +245,14 @@ class Clock(Changes):
         expected: what the steps were planned to take. None, as for a resumed run, assumes that all steps
             take as long as the latest.
         slowness: measured time of steps over the planned time, for each look at the clock.
-        left: returns the seconds left for training, from the slowness now, where all work is limited.
+        left: returns the seconds left for training, where the whole command is limited; else None.
     """
 
     seconds: float = 0.0
     checked: tuple[int, float] = (0, 0.0)
     expected: Expected | None = None
     slowness: list[float] = field(default_factory=list)
-    left: Callable[[float], float] | None = None
+    left: Callable[[], float] | None = None
 
     def due(self, step: int, total: int) -> bool:
         """Returns true every 5 percent of the run; if it was not planned, after its first fifth."""
@@ -277,7 +277,7 @@ class Clock(Changes):
         modelled = self.expected.seconds_left(before, total) - self.expected.seconds_left(step, total)
         self.slowness.append((seconds - then) / max(modelled, 1e-9))
         slowness = float(np.median(self.slowness[-RECENT:]))
-        left = self.left(slowness) if self.left else self.seconds - seconds
+        left = self.left() if self.left else self.seconds - seconds
         planned = self._affordable(step, left, slowness)
         if step < STEADY * total:
             planned = round(np.clip(planned, total / STRIDE, total * STRIDE))

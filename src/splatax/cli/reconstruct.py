@@ -4,7 +4,7 @@ import time
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Literal
 
 import tyro
 
@@ -35,7 +35,6 @@ DETAILS: dict[str, Features | None] = {
 }
 PairingName = Literal[*PAIRINGS]  # type: ignore[valid-type]
 DetailName = Literal[*DETAILS]  # type: ignore[valid-type]
-PanoramasName = Literal[*get_args(Panoramas)]  # type: ignore[valid-type]
 NAMED = 5  # photos that are named for each reason
 
 
@@ -51,7 +50,7 @@ class FindingCameras:
     detail: DetailName = "auto"
     """Effort to find features. "high": takes about four times as long and finds more. "auto": normal, but
     also small features when there are 30 photos or fewer."""
-    panoramas: PanoramasName = "auto"
+    panoramas: Panoramas = "auto"
     """360-degree photos, among those that are twice as wide as they are high. "auto": photos whose metadata
     say so (GPano); "all": all of them; "none": none. Poses are found from the faces of a cube, and the scene
     is trained on the photos as they are."""

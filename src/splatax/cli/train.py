@@ -197,7 +197,7 @@ class Train:
                 recipe,
                 checkpoints,
                 history,
-                pace(settings, history, expected, deadline and partial(deadline.left, dataset)),
+                pace(settings, history, expected, partial(deadline.left, dataset) if deadline else None),
                 eval_every=settings.eval_every,
                 photo_room=room.photos,
             )
@@ -257,7 +257,7 @@ def pace(
     settings: Settings,
     history: History,
     expected: Expected | None,
-    left: Callable[[float], float] | None = None,
+    left: Callable[[], float] | None = None,
 ) -> Changes:
     """Returns what may change the number of steps during the run; `left` is that of `Clock`."""
     if settings.seconds is None:

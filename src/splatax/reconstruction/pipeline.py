@@ -175,7 +175,8 @@ def shrink(
     Returns:
         The photos by the names of their pictures, and the reasons why others cannot be read, by photo name.
     """
-    shrunk, damaged = {}, {}
+    shrunk: dict[str, Photo] = {}
+    damaged = {}
     for number, photo in enumerate(photos):
         watch(number, len(photos))
         wanted = names_of(number, photo)

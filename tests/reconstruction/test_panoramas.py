@@ -11,7 +11,7 @@ from scipy import ndimage
 import corner
 import splatax as sx
 from splatax.cameras.lenses import Equirectangular
-from splatax.errors import DatasetError
+from splatax.errors import DatasetError, InputError
 from splatax.reconstruction import diagnosis, pipeline, reconstruct
 from splatax.reconstruction.panoramas import FACES, cut, focal_of_faces, pixels_in_panorama, size_of_faces
 from splatax.reconstruction.photos import photos_in
@@ -184,6 +184,11 @@ def test_photos_that_may_be_panoramas_and_do_not_fit_together_are_asked_about(tm
     with pytest.raises(DatasetError, match="if they show 360 degrees, say so") as caught:
         reconstruct(tmp_path / "photos", tmp_path / "capture")
     assert caught.value.options == ("panoramas all",)
+
+
+def test_panoramas_are_not_undistorted(photos, tmp_path):
+    with pytest.raises(InputError, match="6 photos of 360 degrees, which no pinhole camera can show"):
+        reconstruct(photos, tmp_path, undistort=True)
 
 
 def test_a_panorama_has_the_reason_of_the_face_that_came_closest():

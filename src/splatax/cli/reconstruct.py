@@ -76,7 +76,7 @@ class Reconstruct:
     cameras: FindingCameras = FindingCameras()
     undistort: Annotated[bool, shown_as()] = False
     """Resample the photos for pinhole cameras, for programs that know no lenses. By default photos are copied
-    as they are. 360-degree photos are always copied."""
+    as they are. Not possible for 360-degree photos."""
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0
     """Random seed."""
     overwrite: OverwriteFlag = False

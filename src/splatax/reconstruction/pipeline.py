@@ -84,12 +84,13 @@ def reconstruct(
         seed: random seed.
         panoramas: which of the photos that are twice as wide as high show 360 degrees: those whose metadata
             say so ("auto"), "all", or "none".
-        undistort: resamples the written photos for pinhole cameras, for programs that know no other;
-            panoramas stay as they are. Otherwise photos are copied, and the model has their lens.
+        undistort: resamples the written photos for pinhole cameras, for programs that know no other.
+            Otherwise photos are copied, and the model has their lens.
         watch: function that is called with the progress of each of `STAGES`.
 
     Raises:
-        InputError: if the output folder holds something else, or a package to read the input is missing.
+        InputError: if the output folder holds something else, a package to read the input is missing, or
+            panoramas are to be undistorted.
         DatasetError: if there are no photos, or too few of them fit together.
     """
     import pycolmap
@@ -108,6 +109,11 @@ def reconstruct(
     settings |= {"panoramas": panoramas, "undistort": undistort}
     prepare(work, settings | {"photos": fingerprint(source)})
     found, rejected = gather(source, work, frames, panoramas, partial(watch, "reading"))
+    if undistort and (around := sum(photo.panorama for photo in found)):
+        raise InputError(
+            f"{source}: {counted(around)} of 360 degrees, which no pinhole camera can show. Use photos as "
+            "they are, without undistorting them.",
+        )
     features = features or features_for(len(found))
     photos, damaged = shrink(found, work / "photos", features.longest_side, partial(watch, "reading"))
     rejected |= damaged

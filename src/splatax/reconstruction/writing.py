@@ -49,7 +49,7 @@ def write_capture(
         photos: original photos by their names in the model.
         out: folder of the capture.
         watch: function that is called with (photos written, all photos).
-        undistort: resamples photos, at full size, for pinhole cameras. Panoramas stay as they are.
+        undistort: resamples photos, at full size, for pinhole cameras.
     """
     import pycolmap
 

@@ -72,7 +72,7 @@ def stages(stub, capture, monkeypatch):
 
     class Stages(list):
         def __init__(self):
-            self.stop, self.runs = None, []
+            self.stop, self.runs, self.reconstructions = None, [], []
 
         def do(self, stage, *written):
             if stage == self.stop:
@@ -84,11 +84,12 @@ def stages(stub, capture, monkeypatch):
 
     done = Stages()
     monkeypatch.setattr(create, "is_capture", lambda path: (path / "sparse").exists())
-    monkeypatch.setattr(
-        create.Reconstruct,
-        "run",
-        lambda self: done.do("reconstruct", self.out / "sparse", self.out / "images"),
-    )
+
+    def reconstruct(self):
+        done.reconstructions.append(self)
+        done.do("reconstruct", self.out / "sparse", self.out / "images")
+
+    monkeypatch.setattr(create.Reconstruct, "run", reconstruct)
     monkeypatch.setattr(create, "load_scene", lambda *_: sx.load_dataset(capture))
 
     def train(self):
@@ -118,6 +119,15 @@ def test_stopped_in_any_stage_the_same_command_goes_on_with_it(stages, photos, t
     cli.main(command)
     assert stages == ["reconstruct", "trial", "train", "page"]
     assert str(tmp_path / "out" / "scene.html") in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("given", [[], ["--undistort", "--panoramas", "all"]])
+def test_the_capture_keeps_the_photos_as_they_are_unless_asked_otherwise(stages, photos, tmp_path, given):
+    cli.main(["create", str(photos), "--out", str(tmp_path / "out"), *given])
+    (made,) = stages.reconstructions
+    assert made.undistort is bool(given)
+    assert made.cameras.panoramas == ("all" if given else "auto")
+    assert all(run.photos.undistort is bool(given) for run in stages.runs)
 
 
 def test_a_run_that_was_killed_before_its_report_is_made_again(stages, photos, tmp_path):

@@ -191,3 +191,18 @@ def test_time_is_forecast_for_all_steps_of_the_default_recipe(capture, monkeypat
 
 def test_times_are_told_roughly():
     assert [roughly(s) for s in (10, 61, 1300, 6000)] == ["1 minute", "1 minute", "22 minutes", "1.7 hours"]
+
+
+def test_photos_of_360_degrees_are_listed_and_those_that_may_be_some_are_asked_about(tmp_path):
+    told = 'GPano:ProjectionType="equirectangular"'
+    Image.new("RGB", (64, 32), "gray").save(tmp_path / "a.jpg", xmp=told.encode())
+    Image.new("RGB", (64, 32), "gray").save(tmp_path / "b.jpg")
+    Image.new("RGB", (64, 48), "gray").save(tmp_path / "c.jpg")
+    found = examine(tmp_path, None)
+    assert found.panoramas == ("a.jpg",)
+    assert ("360 degrees", "1 photo, equirectangular") in facts_of(found)
+    asked = [problem.what for problem in problems_of(found) if "360" in problem.what]
+    assert asked == [
+        "1 photo is twice as wide as high, like 360-degree photos, but their metadata do not say that they "
+        "are: b.jpg."
+    ]

@@ -368,3 +368,11 @@ def test_rigs_of_several_sensors_are_whole(tmp_path):
     (tmp_path / "rigs.bin").write_bytes((tmp_path / "rigs.bin").read_bytes()[:-1])
     with pytest.raises(DatasetError, match="damaged"):
         check_whole(tmp_path)
+
+
+def test_cameras_of_every_model_that_pycolmap_writes_are_whole(tmp_path):
+    model, names = pycolmap.Reconstruction(), pycolmap.CameraModelId.__members__.keys() - {"INVALID"}
+    for i, name in enumerate(sorted(names), start=1):
+        model.add_camera(pycolmap.Camera.create_from_model_name(i, name, 100.0, 64, 32))
+    model.write_binary(tmp_path)
+    check_whole(tmp_path)

@@ -18,7 +18,7 @@ def database(tmp_path):
 
 def fill(database, places) -> list[int]:
     """Photos; those of one place show the same features, in another order. None shows nothing."""
-    mapping.register(database, [mapping.Entry(f"{i}.jpg", (40, 30), None, "") for i in range(len(places))])
+    mapping.register(database, [[mapping.Entry(f"{i}.jpg", (40, 30), None, "")] for i in range(len(places))])
     ids = sorted(image.image_id for image in database.read_all_images())
     with pycolmap.DatabaseTransaction(database):
         for image, place in zip(ids, places, strict=True):

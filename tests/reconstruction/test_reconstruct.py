@@ -17,6 +17,7 @@ import splatax as sx
 from splatax.errors import DatasetError, InputError
 from splatax.reconstruction import diagnosis, pipeline, reconstruct, work
 from splatax.reconstruction.pairs import Exhaustive, Sequential
+from splatax.reconstruction.photos import copy
 
 FEW = pipeline.VERY_FEW
 CHANCE = 0.01  # of the points: a few matches come and go with the matcher's threads
@@ -64,15 +65,40 @@ def test_cameras_are_where_the_photos_were_taken(outcome):
     assert_allclose(dataset.views[0].camera.fx, corner.FOCAL, rtol=0.05)
 
 
-def test_the_capture_is_one_of_pinholes_with_the_original_names(outcome):
+def test_the_capture_has_the_photos_as_they_are_and_their_lens(photos, outcome):
     out, result = outcome
     assert {path.name for path in out.iterdir()} == {"images", "sparse"}
     dataset = sx.load_dataset(out)
     assert [view.name for view in dataset.views] == [f"wall {i}.jpg" for i in range(corner.COUNT)]
+    for view in dataset.views:
+        assert (out / "images" / view.name).read_bytes() == (photos / view.name).read_bytes()
+    assert all(lens.startswith("SIMPLE_RADIAL") for lens in dataset.survey.lenses.values())
+    errors = np.concatenate(list(dataset.survey.errors.values()))
+    assert np.median(errors) < 0.5  # pixels
+    assert len(dataset.points) == result.points > 200
+
+
+def test_undistorted_photos_have_a_pinhole_and_the_points_move_along(photos, tmp_path):
+    reconstruct(photos, tmp_path, undistort=True)
+    dataset = sx.load_dataset(tmp_path)
     assert all(lens.startswith("PINHOLE") for lens in dataset.survey.lenses.values())
     errors = np.concatenate(list(dataset.survey.errors.values()))
-    assert np.median(errors) < 0.5  # pixels: points moved along with the undistorted photos
-    assert len(dataset.points) == result.points > 200
+    assert np.median(errors) < 0.5  # pixels
+
+
+@pytest.mark.parametrize(("suffix", "turn"), [(".jpg", 3), (".bmp", 1)])
+def test_photos_that_are_turned_or_of_a_rare_format_are_written_anew(tmp_path, suffix, turn):
+    pixels = np.zeros((40, 60, 3), np.uint8)
+    pixels[:20] = 200  # bright above
+    tags = Image.Exif()
+    tags[0x0112] = turn
+    stored = Image.fromarray(pixels if turn == 1 else pixels[::-1, ::-1])
+    stored.save(tmp_path / f"a{suffix}", **({} if suffix == ".bmp" else {"exif": tags, "quality": 95}))
+    (photo,), _ = pipeline.photos_in(tmp_path)
+    copy(photo, tmp_path / "out" / photo.name)
+    written = Image.open(tmp_path / "out" / photo.name)
+    assert written.getexif().get(0x0112, 1) == 1
+    assert_allclose(np.asarray(written.convert("RGB"))[[2, -2], 5], [[200] * 3, [0] * 3], atol=3)
 
 
 def test_each_stage_tells_how_far_it_is(outcome, told):

@@ -110,6 +110,26 @@ def test_a_planned_run_keeps_its_time_and_its_full_size_half_on_a_busy_machine(b
     assert full_size / total > 0.3  # of 0.5 as planned: the steps with photos of full size are not cut off
 
 
+def test_what_is_done_between_steps_counts_where_the_whole_command_is_limited():
+    first, limit, picture = 10_000, 60.0, 0.4  # seconds for a picture, which is no time of training
+    chosen = plan(SLOW, limit, first, room=100_000)
+    pictures = 0.0
+    clock = Clock(seconds=limit, expected=Expected(SLOW, first, chosen.max_gaussians))
+    clock.left = lambda: limit - seconds - pictures
+    total, seconds, step = chosen.steps, 0.0, 0
+    while step < total:
+        step += 1
+        done = step / total
+        count = first * (chosen.max_gaussians / first) ** min(3 * done, 1)
+        seconds += (SLOW.fine if done > 0.5 else SLOW.coarse).step(count)
+        if clock.due(step, total):
+            pictures += picture
+            clock.note(step, total, seconds)
+        total = clock(step) or total
+    assert pictures > 5
+    assert seconds + pictures == pytest.approx(limit, rel=0.06)
+
+
 def test_a_run_is_not_shortened_to_hardly_a_picture():
     clock = Clock(seconds=10.0)
     clock.note(100, 500, seconds=50.0)

@@ -33,3 +33,17 @@ def test_photos_keep_their_size_where_there_are_steps_enough():
 
 def test_small_photos_keep_their_size():
     assert planning.smaller_photos(divided, sized(666, 500), 50) is None
+
+
+@pytest.mark.parametrize(("load", "left"), [(0.5, 100 - 5), (4.0, 100 - 2 * 5), (80.0, 50), (None, 100 - 5)])
+def test_results_get_more_time_on_a_busy_machine(monkeypatch, load, left):
+    def average():
+        if load is None:
+            raise OSError
+        return load, load, load
+
+    monkeypatch.setattr("os.getloadavg", average)
+    monkeypatch.setattr("os.cpu_count", lambda: 2)
+    monkeypatch.setattr(planning, "SCORING", 0.0)
+    monkeypatch.setattr("time.monotonic", lambda: 1000.0)
+    assert planning.Deadline(1100.0).left(sized(100, 80)) == pytest.approx(left)

@@ -268,7 +268,12 @@ class Create:
         capture = self.out / "capture"
         if self.overwrite or not is_capture(capture):
             Reconstruct(
-                self.images, capture, self.cameras, seed=self.method.seed or 0, overwrite=self.overwrite
+                self.images,
+                capture,
+                self.cameras,
+                undistort=self.photos.undistort,
+                seed=self.method.seed or 0,
+                overwrite=self.overwrite,
             ).run()
         return capture
 

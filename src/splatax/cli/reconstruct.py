@@ -9,13 +9,15 @@ from typing import Annotated, Literal
 import tyro
 
 from splatax.cli.interruption import resumable
-from splatax.cli.options import OverwriteFlag
+from splatax.cli.options import OverwriteFlag, shown_as
 from splatax.cli.output import say
 from splatax.cli.stages import Stages
 from splatax.errors import InputError
+from splatax.io.datasets.photos import counted
 from splatax.reconstruction import Outcome, forecast, pipeline, reconstruct
 from splatax.reconstruction.mapping import Features
 from splatax.reconstruction.pairs import Exhaustive, Pairing, Sequential, Similar
+from splatax.reconstruction.panoramas import Panoramas
 from splatax.reconstruction.work import clear
 from splatax.runs.budget import duration
 from splatax.runs.claim import claimed
@@ -48,6 +50,10 @@ class FindingCameras:
     detail: DetailName = "auto"
     """Effort to find features. "high": takes about four times as long and finds more. "auto": normal, but
     also small features when there are 30 photos or fewer."""
+    panoramas: Panoramas = "auto"
+    """360-degree photos, among those that are twice as wide as they are high. "auto": photos whose metadata
+    say so (GPano); "all": all of them; "none": none. Poses are found from the faces of a cube, and the scene
+    is trained on the photos as they are."""
 
     def check(self) -> None:
         """Raises InputError if a value makes no sense."""
@@ -59,8 +65,8 @@ class FindingCameras:
 class Reconstruct:
     """Estimate the camera poses of photos or of a video, and write a capture to train on.
 
-    Structure from motion by COLMAP, on the CPU. Writes undistorted photos to OUT/images and the model to
-    OUT/sparse/0. If interrupted, run the same command again to resume.
+    Structure from motion by COLMAP, on the CPU. Copies the photos to OUT/images and writes the model, with
+    the lens that was found, to OUT/sparse/0. If interrupted, run the same command again to resume.
     """
 
     photos: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PHOTOS")]
@@ -68,6 +74,9 @@ class Reconstruct:
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     """Output folder for the capture."""
     cameras: FindingCameras = FindingCameras()
+    undistort: Annotated[bool, shown_as()] = False
+    """Resample the photos for pinhole cameras, for programs that know no lenses. By default photos are copied
+    as they are. Not possible for 360-degree photos."""
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0
     """Random seed."""
     overwrite: OverwriteFlag = False
@@ -86,6 +95,8 @@ class Reconstruct:
                 features=DETAILS[self.cameras.detail],
                 pairing=PAIRINGS[self.cameras.matching],
                 seed=self.seed,
+                panoramas=self.cameras.panoramas,
+                undistort=self.undistort,
                 watch=Forecasting(stages, self.photos, self.cameras),
             )
         for line in told(outcome):
@@ -123,6 +134,12 @@ def told(outcome: Outcome) -> list[str]:
         f"{count} of {count + len(outcome.rejected)} photos registered",
         f"{outcome.points:,} points, mean reprojection error {outcome.error:.2f} px",
     ]
+    if outcome.panoramas:
+        what = f"{counted(outcome.panoramas)} with a pose show 360 degrees"
+        lines.append(f"{what}. If that is wrong: --panoramas none")
+    if outcome.wide:
+        what = f"{counted(outcome.wide)} twice as wide as high, taken for ordinary ones"
+        lines.append(f"{what}. If they show 360 degrees: --panoramas all")
     for reason, number in Counter(outcome.rejected.values()).most_common():
         names = [name for name, why in outcome.rejected.items() if why == reason]
         more = f" and {number - NAMED} more" if number > NAMED else ""

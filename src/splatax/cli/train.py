@@ -1,9 +1,10 @@
 """`splatax train`: from a capture to a scene."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -196,7 +197,7 @@ class Train:
                 recipe,
                 checkpoints,
                 history,
-                pace(settings, history, expected),
+                pace(settings, history, expected, partial(deadline.left, dataset) if deadline else None),
                 eval_every=settings.eval_every,
                 photo_room=room.photos,
             )
@@ -252,11 +253,17 @@ def with_steps(settings: Settings, dataset: Dataset) -> Settings:
     return replace(settings, steps=steps)
 
 
-def pace(settings: Settings, history: History, expected: Expected | None) -> Changes:
-    """Returns what may change the number of steps during the run."""
+def pace(
+    settings: Settings,
+    history: History,
+    expected: Expected | None,
+    left: Callable[[], float] | None = None,
+) -> Changes:
+    """Returns what may change the number of steps during the run; `left` is that of `Clock`."""
     if settings.seconds is None:
         return Changes(history.changes)
-    return Clock(history.changes, settings.seconds, (history.steps, history.train_seconds), expected)
+    checked = history.steps, history.train_seconds
+    return Clock(history.changes, settings.seconds, checked, expected, left=left)
 
 
 @contextmanager

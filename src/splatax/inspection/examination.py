@@ -6,9 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
+from splatax.cameras.lenses import Equirectangular
 from splatax.dataset import Dataset, View, mask_of
+from splatax.errors import DatasetError
 from splatax.inspection.looks import Look, looks_of
 from splatax.io import images
+from splatax.reconstruction.photos import Photo, photo_of
 from splatax.runs import forecast
 from splatax.runs.planning import room_within
 from splatax.training.recipes import room_for
@@ -26,6 +29,8 @@ class Examination:
         photos: paths of all photos on disk, by name.
         looks: appearance of the photos that there was time for, by name.
         errors: median reprojection error of each view, pixels, by name.
+        panoramas: names of the 360-degree photos.
+        wide: names of photos that may be some, though their metadata do not say so; of photos without poses.
         coverage: fraction of unmasked pixels, by name, for a sample of the views with masks.
         gaussians: number of Gaussians that the default recipe would use.
         memory: memory that training would then need, bytes.
@@ -38,6 +43,8 @@ class Examination:
     photos: dict[str, Path]
     looks: dict[str, Look]
     errors: dict[str, float] = field(default_factory=dict)
+    panoramas: tuple[str, ...] = ()
+    wide: tuple[str, ...] = ()
     coverage: dict[str, float] = field(default_factory=dict)
     gaussians: int = 0
     memory: int = 0
@@ -58,7 +65,15 @@ def examine(path: Path, dataset: Dataset | None) -> Examination:
     """
     if dataset is None:
         photos = {p.relative_to(path).as_posix(): p for p in sorted(path.rglob("*")) if images.is_image(p)}
-        return Examination(path, None, photos, looks_of(photos, LOOKING))
+        headers = [photo for name, file in photos.items() if (photo := header_of(name, file))]
+        return Examination(
+            path,
+            None,
+            photos,
+            looks_of(photos, LOOKING),
+            panoramas=tuple(photo.name for photo in headers if photo.panorama),
+            wide=tuple(photo.name for photo in headers if photo.wide),
+        )
     survey = dataset.survey
     masked = [view for view in dataset.views if view.mask]
     coverage = {}
@@ -74,11 +89,20 @@ def examine(path: Path, dataset: Dataset | None) -> Examination:
         survey.files,
         looks_of(survey.files, LOOKING),
         {name: float(np.median(errors)) for name, errors in survey.errors.items()},
-        coverage,
-        gaussians,
-        forecast.memory(gaussians, width, height, round(in_memory)),
-        available_memory(),
+        tuple(view.name for view in dataset.views if isinstance(view.camera.lens, Equirectangular)),
+        coverage=coverage,
+        gaussians=gaussians,
+        memory=forecast.memory(gaussians, width, height, round(in_memory)),
+        available=available_memory(),
     )
+
+
+def header_of(name: str, file: Path) -> Photo | None:
+    """Returns what the header of a photo tells; None if it cannot be read, which its look tells."""
+    try:
+        return photo_of(name, file)
+    except DatasetError:
+        return None
 
 
 def available_memory() -> int | None:

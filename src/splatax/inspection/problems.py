@@ -40,7 +40,7 @@ class Problem:
 
 def problems_of(found: Examination) -> list[Problem]:
     """Returns all problems, errors first."""
-    checks = (poses, number, registration, placement, errors, photos, masks, points, memory)
+    checks = (poses, number, shape, registration, placement, errors, photos, masks, points, memory)
     problems = [problem for check in checks for problem in check(found)]
     return sorted(problems, key=lambda problem: problem.severity != "error")
 
@@ -58,6 +58,16 @@ def number(found: Examination) -> Iterator[Problem]:
             "warning",
             f"Only {counted(count)}.",
             "Take 50 to 200, around the subject at two or three heights.",
+        )
+
+
+def shape(found: Examination) -> Iterator[Problem]:
+    if found.wide:
+        yield Problem(
+            "warning",
+            f"{are(list(found.wide))} twice as wide as high, like 360-degree photos, but their metadata do "
+            f"not say that they are: {listed(found.wide)}.",
+            "If they are, reconstruct them with panoramas all.",
         )
 
 

@@ -1,7 +1,7 @@
 """Finds out why photos have no pose, and gives advice."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -47,6 +47,20 @@ def reasons(path: Path, parts: "Sequence[pycolmap.Reconstruction]") -> dict[str,
                 found[image.name] = ALONE
             else:
                 found[image.name] = APART if image.image_id in elsewhere else CONTRADICTED
+    return found
+
+
+def by_photo(photos: Mapping[str, str], reasons: Mapping[str, str]) -> dict[str, str]:
+    """Returns the reason for each photo of the faces of a panorama: that of the face which came closest.
+
+    Args:
+        photos: names of photos, by the names of their pictures in the database.
+        reasons: by the names of pictures.
+    """
+    found: dict[str, str] = {}
+    for picture, reason in reasons.items():
+        name = photos[picture]
+        found[name] = max(reason, found.get(name, reason), key=list(ADVICE).index)
     return found
 
 

@@ -12,7 +12,10 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from splatax.reconstruction.pairs import Pairing
+from splatax.reconstruction.panoramas import FACES, Face, focal_of_faces
 
 if TYPE_CHECKING:
     import pycolmap
@@ -41,12 +44,21 @@ class Features:
 
 @dataclass(frozen=True)
 class Entry:
-    """Photo in COLMAP's database: upright, shrunk, and named by its number."""
+    """Photo in COLMAP's database: upright, shrunk, and named by its number.
+
+    Attributes:
+        name: of its file.
+        size: width and height, pixels.
+        focal: focal length from EXIF, pixels; None if EXIF has none.
+        device: photos of one device and size share a camera.
+        face: of a panorama, that this is; None for a photo.
+    """
 
     name: str
     size: tuple[int, int]
-    focal: float | None  # pixels
+    focal: float | None
     device: str
+    face: Face | None = None
 
 
 @contextmanager
@@ -60,36 +72,63 @@ def opened(path: Path) -> "Iterator[pycolmap.Database]":
         database.close()
 
 
-def register(database: "pycolmap.Database", entries: Sequence[Entry]) -> None:
+def register(database: "pycolmap.Database", moments: Sequence[Sequence[Entry]]) -> None:
     """Writes photos and their cameras to an empty database.
 
     They are written in order, so that their numbers do not depend on the timing of threads. Photos of one
     device and size share a camera.
+
+    Args:
+        database: empty.
+        moments: the photos of each moment: a single one, or the faces of a panorama, all of `FACES` in order.
     """
     import pycolmap
 
-    devices: dict[tuple[str, tuple[int, int]], list[Entry]] = {}
-    for entry in entries:
-        devices.setdefault((entry.device, entry.size), []).append(entry)
+    devices: dict[tuple[str, tuple[int, int]], list[Sequence[Entry]]] = {}
+    for entries in moments:
+        devices.setdefault((entries[0].device, entries[0].size), []).append(entries)
     with pycolmap.DatabaseTransaction(database):
-        rigs = {key: write_camera(database, group) for key, group in devices.items()}
-        for entry in entries:
-            camera, rig = rigs[entry.device, entry.size]
-            image = database.read_image(
-                database.write_image(pycolmap.Image(name=entry.name, camera_id=camera))
-            )
+        rigs = {key: write_rig(database, group) for key, group in devices.items()}
+        for entries in moments:
+            rig, cameras = rigs[entries[0].device, entries[0].size]
             frame = pycolmap.Frame()
             frame.rig_id = rig
-            frame.add_data_id(image.data_id)
+            for entry, camera in zip(entries, cameras, strict=True):
+                image = pycolmap.Image(name=entry.name, camera_id=camera)
+                frame.add_data_id(database.read_image(database.write_image(image)).data_id)
             database.write_frame(frame)
 
 
-def write_camera(database: "pycolmap.Database", group: Sequence[Entry]) -> tuple[int, int]:
-    """Writes the camera of photos from one device, starting from EXIF's focal length.
+def write_rig(database: "pycolmap.Database", group: Sequence[Sequence[Entry]]) -> tuple[int, list[int]]:
+    """Writes the cameras of photos from one device, as a rig: a single one, or those of the faces.
 
     Returns:
-        The numbers of (camera, rig).
+        The number of the rig, and those of its cameras.
     """
+    import pycolmap
+
+    rig, numbers = pycolmap.Rig(), []
+    if group[0][0].face is None:
+        camera = write_camera(database, [entry for entries in group for entry in entries])
+        rig.add_ref_sensor(camera.sensor_id)
+        return database.write_rig(rig), [camera.camera_id]
+    (size, _), middle = group[0][0].size, group[0][0].size[0] / 2
+    for face in FACES:
+        params = [focal_of_faces(size), middle, middle]
+        camera = pycolmap.Camera(model="SIMPLE_PINHOLE", width=size, height=size, params=params)
+        camera.has_prior_focal_length = True
+        camera = database.read_camera(database.write_camera(camera))
+        numbers.append(camera.camera_id)
+        if face is FACES[0]:
+            rig.add_ref_sensor(camera.sensor_id)
+        else:
+            turned = pycolmap.Rotation3d(np.array(face.rotation, float))
+            rig.add_sensor(camera.sensor_id, pycolmap.Rigid3d(turned, np.zeros(3)))
+    return database.write_rig(rig), numbers
+
+
+def write_camera(database: "pycolmap.Database", group: Sequence[Entry]) -> "pycolmap.Camera":
+    """Writes the camera of photos from one device, starting from EXIF's focal length, and returns it."""
     import pycolmap
 
     (width, height), focal = group[0].size, group[0].focal
@@ -97,10 +136,7 @@ def write_camera(database: "pycolmap.Database", group: Sequence[Entry]) -> tuple
     start = focal or UNKNOWN_FOCAL * max(width, height)
     camera = pycolmap.Camera.create_from_model_name(0, model, start, width, height)
     camera.has_prior_focal_length = focal is not None
-    camera = database.read_camera(database.write_camera(camera))
-    rig = pycolmap.Rig()
-    rig.add_ref_sensor(camera.sensor_id)
-    return camera.camera_id, database.write_rig(rig)
+    return database.read_camera(database.write_camera(camera))
 
 
 def extract(
@@ -158,8 +194,11 @@ def match(path: Path, pairing: Pairing, seed: int, watch: Callable[[int, int], N
     verification.ransac.random_seed = seed
     with opened(path) as database:
         names = {image.image_id: image.name for image in database.read_all_images()}
+        frames = {data.id: frame.frame_id for frame in database.read_all_frames() for data in frame.data_ids}
         ids = sorted(names)
-        pairs = [(ids[i], ids[j]) for i, j in pairing.pairs(database, ids)]
+        every = [(ids[i], ids[j]) for i, j in pairing.pairs(database, ids)]
+        # Faces of one panorama were taken from one place, so their matches tell nothing.
+        pairs = [(a, b) for a, b in every if frames[a] != frames[b]]
         left = [pair for pair in pairs if not database.exists_two_view_geometry(*pair)]
     listed = path.with_name("pairs.txt")
     importing = pycolmap.ImportedPairingOptions()
@@ -189,7 +228,8 @@ def place(
     import pycolmap
 
     with opened(path) as database:
-        count = database.num_images()
+        frames, rigs = database.read_all_frames(), database.read_all_rigs()
+    count = len(frames)
     if out.exists():
         watch(count, count)
         return _largest_first(pycolmap.Reconstruction(part) for part in sorted(out.iterdir()))
@@ -203,6 +243,9 @@ def place(
     options = pycolmap.IncrementalPipelineOptions()
     options.random_seed = seed
     options.min_model_size = FEWEST_IN_MODEL
+    panoramas = [rig for rig in rigs if rig.num_sensors() > 1]
+    options.ba_refine_sensor_from_rig = False
+    options.constant_cameras = {sensor.id for rig in panoramas for sensor in rig.sensor_ids()}
     pycolmap.set_random_seed(seed)
     unfinished = out.with_name(f"{out.name}.part")
     shutil.rmtree(unfinished, ignore_errors=True)
@@ -220,4 +263,4 @@ def place(
 
 
 def _largest_first(parts: "Iterable[pycolmap.Reconstruction]") -> "list[pycolmap.Reconstruction]":
-    return sorted(parts, key=lambda part: -part.num_reg_images())
+    return sorted(parts, key=lambda part: -part.num_reg_frames())

@@ -1,5 +1,6 @@
 """Finds the photos to reconstruct from, reads them upright, and reads their lens and device from EXIF."""
 
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,12 +10,15 @@ from splatax.dataset import Pixels
 from splatax.errors import DatasetError, InputError, shown
 from splatax.io import images
 from splatax.io.datasets import names
+from splatax.reconstruction.panoramas import Panoramas, looks_like_one, says_so
 
+COMMON = {".jpg", ".jpeg", ".png"}  # suffixes of formats that all tools read
 HEIF = {".heic", ".heif"}
 LOSSLESS = {".png", ".bmp", ".tif", ".tiff"}
 DIAGONAL_35MM = float(np.hypot(36, 24))  # mm; the 35 mm equivalent refers to the diagonal (CIPA DCG-001)
 MM_PER_UNIT = {2: 25.4, 3: 10.0}  # EXIF's FocalPlaneResolutionUnit: inch, centimetre
 MAKE, MODEL, EXIF = 0x010F, 0x0110, 0x8769
+ORIENTATION = 0x0112
 FOCAL, FOCAL_35MM, LENS = 0x920A, 0xA405, 0xA434
 PLANE_RESOLUTION, PLANE_UNIT, EXIF_WIDTH, EXIF_HEIGHT = 0xA20E, 0xA210, 0xA002, 0xA003
 
@@ -29,6 +33,9 @@ class Photo:
         size: width and height when upright, pixels.
         focal: focal length from EXIF, pixels; None if EXIF has none.
         device: camera and lens in EXIF. Photos of one device and size share a camera.
+        upright: true if the file itself is upright, so that its EXIF orientation turns nothing.
+        panorama: true for a 360-degree photo.
+        wide: true if it may be one: it is twice as wide as it is high, but its metadata do not say so.
     """
 
     name: str
@@ -36,10 +43,18 @@ class Photo:
     size: tuple[int, int]
     focal: float | None
     device: str
+    upright: bool = True
+    panorama: bool = False
+    wide: bool = False
 
 
-def photos_in(folder: Path) -> tuple[list[Photo], dict[str, str]]:
+def photos_in(folder: Path, panoramas: Panoramas = "auto") -> tuple[list[Photo], dict[str, str]]:
     """Returns the photos in a folder sorted by name, and the reasons why others cannot be used, by name.
+
+    Args:
+        folder: folder of the photos.
+        panoramas: which of the photos that are twice as wide as high show 360 degrees: those whose metadata
+            say so, all, or none.
 
     Raises:
         InputError: if there is a HEIC photo, and the package that reads it is not installed.
@@ -51,7 +66,7 @@ def photos_in(folder: Path) -> tuple[list[Photo], dict[str, str]]:
     for path in paths:
         name = path.relative_to(folder).as_posix()
         try:
-            photos.append(photo_of(name_in_capture(names.checked(name, folder)), path))
+            photos.append(photo_of(name_in_capture(names.checked(name, folder)), path, panoramas))
         except DatasetError as error:
             damaged[shown(name)] = f"cannot be read: {error}"
     return photos, damaged
@@ -79,15 +94,20 @@ def learn_heif(example: Path) -> None:
 
 
 def name_in_capture(name: str) -> str:
-    """Returns the name of the undistorted photo in the capture."""
+    """Returns the name of the photo in the capture."""
     suffix = Path(name).suffix.lower()
-    if suffix in {".jpg", ".jpeg", ".png"}:
+    if suffix in COMMON:
         return name
     return name + (".png" if suffix in LOSSLESS else ".jpg")
 
 
-def photo_of(name: str, path: Path) -> Photo:
+def photo_of(name: str, path: Path, panoramas: Panoramas = "auto") -> Photo:
     """Reads the header of a photo.
+
+    Args:
+        name: of the photo in the capture.
+        path: path of the file.
+        panoramas: as for `photos_in`.
 
     Raises:
         DatasetError: if the file is not a photo, or is damaged.
@@ -96,9 +116,15 @@ def photo_of(name: str, path: Path) -> Photo:
     with images.opened(path) as image:
         exif = image.getexif()  # a PNG may store it behind the pixels
         detail = exif.get_ifd(EXIF)
+        upright = exif.get(ORIENTATION, 1) == 1
+        known = says_so(image)
     focal = focal_of({key: number(value) for key, value in detail.items()}, size)
     parts = (exif.get(MAKE), exif.get(MODEL), detail.get(LENS), focal, size)
-    return Photo(name, path, size, focal, " ".join(str(part) for part in parts))
+    device = " ".join(str(part) for part in parts)
+    wide = looks_like_one(size)
+    panorama = wide and (panoramas == "all" or (panoramas == "auto" and known))
+    unsaid = wide and panoramas == "auto" and not known
+    return Photo(name, path, size, focal, device, upright, panorama, unsaid)
 
 
 def number(value: object) -> float:
@@ -129,6 +155,19 @@ def read(photo: Photo) -> Pixels:
         DatasetError: if the photo is damaged.
     """
     return images.read(photo.path, upright=True)
+
+
+def copy(photo: Photo, path: Path) -> None:
+    """Copies a photo as it is; one that is not upright, or in a rare format, is decoded and written anew.
+
+    Raises:
+        DatasetError: if the photo is damaged.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if photo.upright and photo.path.suffix.lower() in COMMON:
+        shutil.copyfile(photo.path, path)
+    else:
+        save(path, read(photo))
 
 
 def save(path: Path, pixels: Pixels) -> None:

@@ -2,7 +2,7 @@
 
 import shutil
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from splatax.packages import required_by
 from splatax.reconstruction import diagnosis, mapping
 from splatax.reconstruction.mapping import Entry, Features
 from splatax.reconstruction.pairs import Exhaustive, Pairing, Sequential, Similar
+from splatax.reconstruction.panoramas import FACES, Panoramas, cut, size_of_faces
 from splatax.reconstruction.photos import Photo, photos_in, read, save
 from splatax.reconstruction.video import is_video, pick_frames
 from splatax.reconstruction.work import (
@@ -28,6 +29,8 @@ from splatax.resampling import resize
 FEW = 80  # photos up to which every pair is matched
 VERY_FEW = 30  # photos up to which smaller features are used too: 2.5 times the points and 0.5 dB on fern
 FEWEST, LEAST_SHARE = 3, 0.5  # number and fraction of photos that must get a pose
+PANORAMAS = "360 degrees"  # the device of all panoramas, which differ in nothing but size
+WIDE = "They are twice as wide as they are high: if they show 360 degrees, say so."
 STAGES = ("reading", "features", "matches", "poses", "writing")
 Watch = Callable[[str, int, int], None]  # stage, finished parts, all parts
 
@@ -41,12 +44,16 @@ class Outcome:
         rejected: reasons why the other photos have none, by name.
         points: number of points.
         error: mean reprojection error, pixels of the written photos.
+        panoramas: number of 360-degree photos with a pose.
+        wide: number of photos that may show 360 degrees, though their metadata do not say so.
     """
 
     registered: tuple[str, ...]
     rejected: dict[str, str]
     points: int
     error: float
+    panoramas: int = 0
+    wide: int = 0
 
 
 @required_by("splatax.reconstruction")
@@ -58,9 +65,11 @@ def reconstruct(
     features: Features | None = None,
     pairing: Pairing | None = None,
     seed: int = 0,
+    panoramas: Panoramas = "auto",
+    undistort: bool = False,
     watch: Watch = lambda stage, done, total: None,
 ) -> Outcome:
-    """Finds poses and points, and writes undistorted photos and a COLMAP model to a folder.
+    """Finds poses and points, and writes the photos and a COLMAP model to a folder.
 
     An interrupted call leaves its work in the folder. The next call continues from there if the photos have
     not changed; otherwise it starts again.
@@ -73,10 +82,15 @@ def reconstruct(
         pairing: selection of pairs to match. None matches all pairs of few photos, similar ones of many
             photos, and neighbours in a video.
         seed: random seed.
+        panoramas: which of the photos that are twice as wide as high show 360 degrees: those whose metadata
+            say so ("auto"), "all", or "none".
+        undistort: resamples the written photos for pinhole cameras, for programs that know no other.
+            Otherwise photos are copied, and the model has their lens.
         watch: function that is called with the progress of each of `STAGES`.
 
     Raises:
-        InputError: if the output folder holds something else, or a package to read the input is missing.
+        InputError: if the output folder holds something else, a package to read the input is missing, or
+            panoramas are to be undistorted.
         DatasetError: if there are no photos, or too few of them fit together.
     """
     import pycolmap
@@ -92,23 +106,29 @@ def reconstruct(
         )
     asked = asdict(features) if features else "auto"
     settings = {"source": str(source.resolve()), "frames": frames, "features": asked, "seed": seed}
+    settings |= {"panoramas": panoramas, "undistort": undistort}
     prepare(work, settings | {"photos": fingerprint(source)})
-    found, rejected = gather(source, work, frames, partial(watch, "reading"))
+    found, rejected = gather(source, work, frames, panoramas, partial(watch, "reading"))
+    if undistort and (around := sum(photo.panorama for photo in found)):
+        raise InputError(
+            f"{source}: {counted(around)} of 360 degrees, which no pinhole camera can show. Use photos as "
+            "they are, without undistorting them.",
+        )
     features = features or features_for(len(found))
     photos, damaged = shrink(found, work / "photos", features.longest_side, partial(watch, "reading"))
     rejected |= damaged
-    if len(photos) < FEWEST:
+    count, wide = len(set(photos.values())), sum(photo.wide for photo in set(photos.values()))
+    if count < FEWEST:
         why = f" ({len(rejected)} cannot be read, such as {next(iter(rejected))})" if rejected else ""
         raise DatasetError(
-            f"{source}: {counted(len(photos))} to use{why}, but depth needs at least {FEWEST}, better 30 or "
+            f"{source}: {counted(count)} to use{why}, but depth needs at least {FEWEST}, better 30 or "
             "more, from different places."
         )
     database = work / "database.db"
     if not database.exists():
-        entries = [entry_of(name, photo, features) for name, photo in photos.items()]
         (work / "new.db").unlink(missing_ok=True)
         with mapping.opened(work / "new.db") as empty:
-            mapping.register(empty, entries)
+            mapping.register(empty, moments_of(photos, features))
         (work / "new.db").replace(database)
     mapping.extract(database, work / "photos", features, partial(watch, "features"))
     pairing = pairing or pairing_for(source, len(photos))
@@ -116,71 +136,100 @@ def reconstruct(
         shutil.rmtree(work / "models", ignore_errors=True)  # they were made without these pairs
     parts = mapping.place(database, work / "photos", work / "models", seed, partial(watch, "poses"))
     reasons = diagnosis.reasons(database, parts)
-    rejected |= {photos[name].name: reason for name, reason in reasons.items()}
-    placed = parts[0].num_reg_images() if parts else 0
-    if placed < max(FEWEST, LEAST_SHARE * len(photos)):
+    rejected |= diagnosis.by_photo({name: photo.name for name, photo in photos.items()}, reasons)
+    placed = parts[0].num_reg_frames() if parts else 0
+    if placed < max(FEWEST, LEAST_SHARE * count):
         raise DatasetError(
-            f"{source}: only {placed} of {len(photos)} photos fit together; {most_frequent(rejected)}. "
-            f"{diagnosis.advice(rejected)}"
+            f"{source}: only {placed} of {count} photos fit together; {most_frequent(rejected)}. "
+            f"{WIDE if 2 * wide > count else diagnosis.advice(rejected)}",
+            options=("panoramas all",) if 2 * wide > count else (),
         )
-    registered = sorted(photos[parts[0].image(i).name].name for i in parts[0].reg_image_ids())
-    write_capture(parts[0], photos, work / "capture", partial(watch, "writing"))
+    registered = {photos[parts[0].image(i).name] for i in parts[0].reg_image_ids()}
+    capture = write_capture(parts[0], photos, work / "capture", partial(watch, "writing"), undistort)
     for name in reversed(RESULTS):
         (work / "capture" / name).rename(out / name)
     outcome = Outcome(
-        tuple(registered),
+        tuple(sorted(photo.name for photo in registered)),
         rejected,
-        parts[0].num_points3D(),
-        parts[0].compute_mean_reprojection_error(),
+        capture.num_points3D(),
+        capture.compute_mean_reprojection_error(),
+        sum(photo.panorama for photo in registered),
+        wide,
     )
     shutil.rmtree(work)
     return outcome
 
 
 def gather(
-    source: Path, work: Path, frames: int, watch: Callable[[int, int], None]
+    source: Path, work: Path, frames: int, panoramas: Panoramas, watch: Callable[[int, int], None]
 ) -> tuple[list[Photo], dict[str, str]]:
     """Returns the photos of a folder or a video, and the reasons why others cannot be used, by name."""
     if source.is_dir():
-        return photos_in(source)
+        return photos_in(source, panoramas)
     if not (work / "frames").exists():
         shutil.rmtree(work / "frames.part", ignore_errors=True)
         pick_frames(source, work / "frames.part", frames, watch)
         (work / "frames.part").rename(work / "frames")
-    return photos_in(work / "frames")
+    return photos_in(work / "frames", panoramas)
 
 
 def shrink(
     photos: list[Photo], folder: Path, longest_side: int, watch: Callable[[int, int], None]
 ) -> tuple[dict[str, Photo], dict[str, str]]:
-    """Writes the pictures for feature extraction: upright, shrunk, and named by number.
+    """Writes the pictures for feature extraction: upright, shrunk, and named by number; panoramas as faces.
 
     Returns:
         The photos by the names of their pictures, and the reasons why others cannot be read, by photo name.
     """
-    shrunk, damaged = {}, {}
+    shrunk: dict[str, Photo] = {}
+    damaged = {}
     for number, photo in enumerate(photos):
         watch(number, len(photos))
-        name = f"{number:06}.jpg"
+        wanted = names_of(number, photo)
         try:
-            if not (folder / name).exists():
-                width, height = shrunk_size(photo, longest_side)
-                save(folder / f"{name}.part", resize(read(photo), width, height))
-                (folder / f"{name}.part").rename(folder / name)
-            shrunk[name] = photo
+            if not all((folder / name).exists() for name in wanted):
+                pixels, size = read(photo), shrunk_size(photo, longest_side)
+                for face, name in enumerate(wanted):
+                    small = cut(pixels, FACES[face], size[0]) if photo.panorama else resize(pixels, *size)
+                    save(folder / f"{name}.part", small)
+                    (folder / f"{name}.part").rename(folder / name)
+            shrunk |= dict.fromkeys(wanted, photo)
         except DatasetError as error:
             damaged[photo.name] = f"cannot be read: {error}"
     watch(len(photos), len(photos))
     return shrunk, damaged
 
 
+def names_of(number: int, photo: Photo) -> list[str]:
+    """Returns the names of a photo's pictures: those of its faces, for a panorama."""
+    return [f"{number:06}-{face.name}.jpg" for face in FACES] if photo.panorama else [f"{number:06}.jpg"]
+
+
 def shrunk_size(photo: Photo, longest_side: int) -> tuple[int, int]:
+    """Returns the width and height of a photo's pictures for feature extraction."""
+    if photo.panorama:
+        size = size_of_faces(photo.size[0], longest_side)
+        return size, size
     factor = min(1.0, longest_side / max(photo.size))
     width, height = (max(1, round(side * factor)) for side in photo.size)
     return width, height
 
 
+def moments_of(photos: dict[str, Photo], features: Features) -> list[list[Entry]]:
+    """Returns the database's entries of each photo, from photos by the names of their pictures."""
+    moments: dict[Photo, list[Entry]] = {}
+    for name, photo in photos.items():
+        moments.setdefault(photo, []).append(entry_of(name, photo, features))
+    return [
+        [replace(entry, face=face, device=PANORAMAS) for entry, face in zip(entries, FACES, strict=True)]
+        if photo.panorama
+        else entries
+        for photo, entries in moments.items()
+    ]
+
+
 def entry_of(name: str, photo: Photo, features: Features) -> Entry:
+    """Returns the database's entry of a photo's picture."""
     size = shrunk_size(photo, features.longest_side)
     focal = photo.focal * max(size) / max(photo.size) if photo.focal else None
     return Entry(name, size, focal, photo.device)

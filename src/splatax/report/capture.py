@@ -7,7 +7,7 @@ import numpy as np
 
 from splatax.inspection import Examination, Problem
 from splatax.inspection.looks import Look
-from splatax.io.datasets.photos import sizes_of
+from splatax.io.datasets.photos import counted, sizes_of
 from splatax.report.page import fill
 from splatax.report.pictures import encoded
 from splatax.report.plan import plan
@@ -33,6 +33,8 @@ def facts_of(found: Examination) -> list[tuple[str, str]]:
         if len(lenses) > LENSES:
             facts.append(("lens", f"and {len(lenses) - LENSES} more"))
         facts.append(("points", f"{len(found.dataset.points):,}"))
+    if found.panoramas:
+        facts.append(("360 degrees", f"{counted(len(found.panoramas))}, equirectangular"))
     if found.errors:
         middle, worst = (
             np.median(list(found.errors.values())),

@@ -6,7 +6,7 @@ are recorded as `Changes`, so that the run can be repeated without a clock.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -26,9 +26,7 @@ HEAVIER = 1.45  # a step of a capture than one of a procedural scene: 1.6 measur
 COMPILING = 0.7  # seconds for each size of the arrays that a scene grows through
 FEWEST_STEPS = 200  # with fewer, scenes are unusable: a run rather takes longer than asked
 PARTS = 400  # of a run, over which the cost of its steps is summed
-RECENT = (
-    5  # looks at the clock whose median is the speed: growing compiles programs, which is no lasting delay
-)
+RECENT = 5  # looks at the clock whose median is the speed: compiling, as a scene grows, is no lasting delay
 STRIDE, STEADY = (
     1.25,
     0.7,
@@ -247,12 +245,14 @@ class Clock(Changes):
         expected: what the steps were planned to take. None, as for a resumed run, assumes that all steps
             take as long as the latest.
         slowness: measured time of steps over the planned time, for each look at the clock.
+        left: returns the seconds left for training, where the whole command is limited; else None.
     """
 
     seconds: float = 0.0
     checked: tuple[int, float] = (0, 0.0)
     expected: Expected | None = None
     slowness: list[float] = field(default_factory=list)
+    left: Callable[[], float] | None = None
 
     def due(self, step: int, total: int) -> bool:
         """Returns true every 5 percent of the run; if it was not planned, after its first fifth."""
@@ -276,17 +276,18 @@ class Clock(Changes):
             return
         modelled = self.expected.seconds_left(before, total) - self.expected.seconds_left(step, total)
         self.slowness.append((seconds - then) / max(modelled, 1e-9))
-        planned = self._affordable(step, self.seconds - seconds)
+        slowness = float(np.median(self.slowness[-RECENT:]))
+        left = self.left() if self.left else self.seconds - seconds
+        planned = self._affordable(step, left, slowness)
         if step < STEADY * total:
             planned = round(np.clip(planned, total / STRIDE, total * STRIDE))
         planned = max(planned, FEWEST_STEPS, step + 1)
         if planned != total:
             self.made.append((step, planned))
 
-    def _affordable(self, step: int, left: float) -> int:
+    def _affordable(self, step: int, left: float, slowness: float) -> int:
         """Returns the most steps for which the rest of the run takes no longer than the time left."""
         assert self.expected
-        slowness = float(np.median(self.slowness[-RECENT:]))
         low, high = step, 10_000_000
         while low < high:
             middle = (low + high + 1) // 2

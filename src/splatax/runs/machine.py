@@ -49,3 +49,14 @@ def cpu_name() -> str:
         return next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
     except (OSError, StopIteration):
         return platform.processor() or platform.machine()
+
+
+def busyness() -> float:
+    """Returns how many times as long work takes while other programs run as now, by the load of a minute.
+
+    It is 1 on a machine with a core for each program that runs, and where the system does not tell the load.
+    """
+    try:
+        return max(os.getloadavg()[0] / (os.cpu_count() or 1), 1.0)
+    except (AttributeError, OSError):
+        return 1.0

@@ -10,7 +10,7 @@ from splatax.dataset import Dataset
 from splatax.errors import InputError
 from splatax.io.datasets.decoding import PhotoDecoder
 from splatax.runs import forecast
-from splatax.runs.machine import physical_memory
+from splatax.runs.machine import busyness, physical_memory
 from splatax.runs.results import SHOWN
 
 ENOUGH_STEPS = 500  # of a budget: with fewer, smaller photos teach more
@@ -32,10 +32,14 @@ class Deadline:
     at: float
 
     def left(self, dataset: Dataset) -> float:
-        """Returns the seconds that are left for training, at least 1: results have to be written too."""
+        """Returns the seconds that are left for training, at least 1: results have to be written too.
+
+        Writing takes longer if other programs run, but gets at most half of the time.
+        """
         views = dataset.test or dataset.train[:SHOWN]
         pixels = sum(view.camera.width * view.camera.height for view in views)
-        return max(self.at - time.monotonic() - WRITING - SCORING * pixels, 1.0)
+        left = self.at - time.monotonic()
+        return max(left - busyness() * (WRITING + SCORING * pixels), left / 2, 1.0)
 
 
 @dataclass(frozen=True)

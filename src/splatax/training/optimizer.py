@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from splatax.gaussians import ARRAYS, Gaussians
 from splatax.math import harmonics, quaternions
@@ -176,9 +176,15 @@ def _broadcast(rows: Bool[Array, " n"], axes: int) -> Bool[Array, "n ..."]:
 
 
 def without_locked_bands(
-    gradients: Gaussians, step: Int[Array, ""], every: int | Int[Array, ""]
+    gradients: Gaussians, progress: Float[Array, ""], openings: Float[Array, " bands"]
 ) -> Gaussians:
-    """Zeroes the gradients of SH bands that are still locked: band l opens after l * `every` steps."""
+    """Zeroes the gradients of SH bands that are still locked.
+
+    Args:
+        gradients: of the loss.
+        progress: fraction of the run that is done, in float32.
+        openings: fraction of the run after which each band is learned; see `ShSchedule.openings`.
+    """
     band = jnp.array([l for l in range(harmonics.MAX_DEGREE + 1) for _ in range(2 * l + 1)])
-    free = band[: gradients.sh.shape[1]] * every <= step
+    free = (openings <= progress)[band[: gradients.sh.shape[1]]]
     return replace(gradients, sh=jnp.where(free[None, :, None], gradients.sh, 0))

@@ -4,10 +4,14 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+import numpy as np
+from jaxtyping import Float
+
 from splatax.backends.protocol import Kernels
 from splatax.dataset import Dataset
 from splatax.losses import Photometric
 from splatax.low_pass import Dilation, LowPass
+from splatax.math.harmonics import MAX_DEGREE
 from splatax.rendering import Renderer
 from splatax.training.appearance import NoAppearance
 from splatax.training.backgrounds import Random, Solid
@@ -38,6 +42,14 @@ class ShSchedule:
 
     degree: int = 3  # 0 to 4
     every: int = 1_000  # steps; band l is learned after l times as many
+
+    def openings(self, steps: int) -> Float[np.ndarray, " bands"]:
+        """Returns the fraction of a run of `steps` steps after which each band is learned, in float32.
+
+        They are fractions so that the bands follow a run whose number of steps changes while it is made.
+        """
+        after = np.arange(MAX_DEGREE + 1, dtype=np.float32) * np.float32(self.every)
+        return after / np.float32(steps)
 
 
 @dataclass(frozen=True)

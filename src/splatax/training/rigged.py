@@ -232,7 +232,8 @@ def _step(
         lambda leaf: jnp.where(good, leaf, 0), pull_back((d_splats, jnp.ones_like(prior)))
     )
     progress = state.step / recipe.steps
-    d_gaussians = optimizer.without_locked_bands(d_gaussians, state.step, recipe.sh.every)
+    openings = jnp.asarray(recipe.sh.openings(recipe.steps))
+    d_gaussians = optimizer.without_locked_bands(d_gaussians, progress, openings)
     reach = recipe.optimizer.reach(splats.depths, settings.extent)
     rates = recipe.optimizer.rates.at(progress, reach, d_gaussians.sh.shape[1])
     rates = jax.tree.map(lambda leaf: jnp.where(good, leaf, 0), rates)

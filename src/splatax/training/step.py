@@ -69,12 +69,16 @@ def train_step(state: TrainState, batch: Batch, recipe: Recipe) -> tuple[TrainSt
     """
     # Numbers that depend on the length of the run are inputs of the program, so that runs of all lengths
     # share one program in the compilation cache.
-    return _train_step(state, batch, recipe.optimizer.rates, recipe.sh.every, recipe)
+    return _train_step(state, batch, recipe.optimizer.rates, recipe.sh.openings(recipe.steps), recipe)
 
 
 @partial(jax.jit, static_argnames="recipe", donate_argnames="state")
 def _train_step(
-    state: TrainState, batch: Batch, learning_rates: LearningRates, sh_every: Int[Array, ""], recipe: Recipe
+    state: TrainState,
+    batch: Batch,
+    learning_rates: LearningRates,
+    openings: Float[Array, " bands"],
+    recipe: Recipe,
 ) -> tuple[TrainState, Float[Array, ""]]:
     background_key, noise_key = jax.random.split(jax.random.fold_in(state.key, state.step))
     loss, splats, d = compare(state, batch, recipe, recipe.drawing.background.sample(background_key))
@@ -83,8 +87,8 @@ def _train_step(
     # between the old and the new state instead would take a copy of all moments.
     good = jnp.isfinite(loss)
     gradients = jax.tree.map(lambda leaf: jnp.where(good, leaf, 0), d.gaussians)
-    gradients = optimizer.without_locked_bands(gradients, state.step, sh_every)
     progress = state.step / state.total
+    gradients = optimizer.without_locked_bands(gradients, progress, openings)
     reach = recipe.optimizer.reach(splats.depths, state.extent)
     rates = learning_rates.at(progress, reach, gradients.sh.shape[1])
     rates = jax.tree.map(lambda leaf: jnp.where(good, leaf, 0), rates)

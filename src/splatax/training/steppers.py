@@ -90,8 +90,8 @@ class SeveralViews:
 
     def step(self, state: TrainState, seen: Views, recipe: Recipe) -> tuple[TrainState, Float[Array, ""]]:
         """Makes a step on several views."""
-        every = jnp.asarray(recipe.sh.every)
-        return step_on_views(state, seen, recipe.optimizer.rates, every, recipe, self.dealt.mesh)
+        openings = jnp.asarray(recipe.sh.openings(recipe.steps))
+        return step_on_views(state, seen, recipe.optimizer.rates, openings, recipe, self.dealt.mesh)
 
 
 def stepper_for(recipe: Recipe, devices: Sequence[jax.Device] | None) -> Stepper:

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.sharding import Mesh
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from splatax.gaussians import Gaussians
 from splatax.splats import Splats
@@ -41,7 +41,7 @@ def step_on_views(
     state: TrainState,
     views: Views,
     rates: LearningRates,
-    sh_every: Int[Array, ""],
+    openings: Float[Array, " bands"],
     recipe: Recipe,
     mesh: Mesh,
 ) -> tuple[TrainState, Float[Array, ""]]:
@@ -54,7 +54,7 @@ def step_on_views(
         state: placed on the devices.
         views: of the step; the devices divide them.
         rates: learning rates of the recipe.
-        sh_every: as `ShSchedule.every`.
+        openings: as `ShSchedule.openings`.
         recipe: the settings; the backend is resolved already.
         mesh: the devices.
     """
@@ -71,11 +71,11 @@ def step_on_views(
         out_specs=(places, EVERYWHERE),
         check_vma=False,
     )
-    return sharded(state, views, rates, sh_every)
+    return sharded(state, views, rates, openings)
 
 
 def _on_each(
-    state: TrainState, views: Views, rates: LearningRates, sh_every: Int[Array, ""], recipe: Recipe
+    state: TrainState, views: Views, rates: LearningRates, openings: Float[Array, " bands"], recipe: Recipe
 ) -> tuple[TrainState, Float[Array, ""]]:
     """Makes the part of one device in a step."""
     background_key, noise_key = jax.random.split(jax.random.fold_in(state.key, state.step))
@@ -83,7 +83,7 @@ def _on_each(
     good = jnp.all(jnp.isfinite(losses))  # if not, nothing moves; see `splatax.training.step`
 
     gradients = jax.tree.map(lambda leaf: jnp.where(good, leaf, 0), d.gaussians)
-    gradients = optimizer.without_locked_bands(gradients, state.step, sh_every)
+    gradients = optimizer.without_locked_bands(gradients, state.step / state.total, openings)
     depths = jnp.moveaxis(splats.depths, 0, 1)
     gaussians, opt_state = _moved(state, gradients, depths, Move(rates, good, noise_key), recipe)
 

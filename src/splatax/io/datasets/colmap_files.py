@@ -10,7 +10,7 @@ from pathlib import Path
 from splatax.errors import DatasetError
 
 # Number of parameters of each camera model, by COLMAP's model number.
-CAMERA_PARAMETERS = {0: 3, 1: 4, 2: 4, 3: 5, 4: 8, 5: 8, 6: 12, 7: 5, 8: 4, 9: 5, 10: 12, 11: 16}
+CAMERA_PARAMETERS = dict(enumerate((3, 4, 4, 5, 8, 8, 12, 5, 4, 5, 12, 16, 4, 5, 3, 4, 6, 2)))
 
 POSE = 56  # bytes: a quaternion and a translation
 

@@ -16,6 +16,10 @@ So Q is the ellipse that the tangent of the lens gives (`footprints.Ewa` without
 plane slants, and H is its thickness. A flat Gaussian has H = 0 and is a disc: q is then the squared distance
 of the point where the ray meets its plane, as by the homography of Huang et al. 2024, Eq. 10, and the inverse
 depth of this point is (1 + g . d) / z.
+
+This is exact for pinholes and where rays are parallel. Other lenses, and cameras that move during the
+exposure, are replaced around each mean by the pinhole that has their Jacobian there: perspective is exact, and
+the curvature of the lens over one Gaussian is not seen.
 """
 
 from typing import NamedTuple
@@ -25,18 +29,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from splatax.cameras import Camera
-from splatax.cameras.lenses import Orthographic, Pinhole
 from splatax.footprints import EWA, Method
 from splatax.gaussians import Gaussians, is_sound
 from splatax.low_pass import AlongRays
 from splatax.math import ellipsoids, harmonics, quaternions
-from splatax.projection import MAX_LOG_SCALE, Projected, direction, overlaps_image
+from splatax.projection import MAX_LOG_SCALE, Projected, direction, overlaps_image, period_of
 from splatax.splats import MIN_ALPHA, Splats
 
 FLATTEST = -20.0  # log of the ratio of two scales below which flatter Gaussians are treated alike
 THINNEST = 1e-3  # pixels: standard deviation of an image below which only the blur is drawn
 LEAST_BOUND = 1e-3  # eigenvalues up to this are those of a splat that is not bounded
-EVERYWHERE = 1e30  # reach of a splat that is not bounded: the camera is inside it
+EVERYWHERE = 1e20  # reach of a splat that is not bounded: the camera is inside it
 
 
 class Slanted(NamedTuple):
@@ -116,10 +119,13 @@ def project(gaussians: Gaussians, camera: Camera, low_pass: AlongRays, method: M
     """Projects all Gaussians to one view, to be drawn along rays. Rules of culling are those of `project`.
 
     Raises:
-        ValueError: if the camera moves during the exposure, its lens is not a pinhole and its rays are not
-            parallel, or another method than `Ewa` is asked for.
+        ValueError: if another method than `Ewa` is asked for.
     """
-    check_supported(camera, method)
+    if method != EWA:
+        raise ValueError(
+            f"projection is {method}, which does not apply to the filter AlongRays: it is exact without one. "
+            "Leave the projection out, or draw with low_pass=Dilation()."
+        )
     position = camera.position
 
     def one(mean, quat, log_scale, logit, sh):
@@ -135,27 +141,9 @@ def project(gaussians: Gaussians, camera: Camera, low_pass: AlongRays, method: M
         opacities=rows.opacity,
         width=camera.width,
         height=camera.height,
+        period=period_of(camera),
         slants=slants,
     )
-
-
-def check_supported(camera: Camera, method: Method) -> None:
-    """Checks that Gaussians can be drawn along the rays of a camera.
-
-    Raises:
-        ValueError: if they cannot.
-    """
-    if method != EWA:
-        raise ValueError(
-            f"projection is {method}, which does not apply to the filter AlongRays: it is exact without one. "
-            "Leave the projection out, or draw with low_pass=Dilation()."
-        )
-    if camera.motion is not None or not isinstance(camera.lens, Pinhole | Orthographic):
-        kind = "a rolling shutter" if camera.motion is not None else f"the lens {type(camera.lens).__name__}"
-        raise ValueError(
-            f"The camera has {kind}, and Gaussians are drawn along rays (AlongRays, 2DGS) for pinholes and "
-            "orthographic cameras only. Undistort the photos, or draw with low_pass=Dilation()."
-        )
 
 
 def _one(
@@ -176,16 +164,20 @@ def _one(
     )
     point = camera.rotation @ mean + camera.translation
     seen = sound & camera.lens.sees(point)
-    point = jnp.where(seen, point, jnp.array([0, 0, 1], point.dtype))  # what every lens sees
+    ahead = jnp.array([0, 0, 1], point.dtype)  # what every lens sees
+    mean = jnp.where(seen, mean, position + camera.rotation.T @ ahead)
+    point = camera.to_camera(mean)
+    seen &= camera.lens.sees(point)
+    point = jnp.where(seen, point, ahead)
 
-    axes = camera.rotation @ quaternions.to_rotation(quat)
+    axes = quaternions.to_rotation(quat)
     scale = jnp.exp(jnp.minimum(log_scale, MAX_LOG_SCALE))
     jacobian = jax.jacfwd(camera.lens.project)(point) * camera.focal[:, None]
-    rows = jacobian @ (axes * scale[None])
+    world = camera.rotation if camera.motion is None else jax.jacfwd(camera.to_camera)(mean)
+    rows = jacobian @ world @ (axes * scale[None])
     seen &= jnp.isfinite(jnp.sum(jnp.square(jnp.sum(rows * rows))))
-    rows = jnp.where(seen, rows, 0)
-    conic, resolved = _ellipse(rows)
-    slant = _slant(camera, point, axes, log_scale, resolved)
+    conic, resolved = _ellipse(jnp.where(seen, rows, 0))
+    slant = _slant(camera, point, jacobian, camera.rotation @ axes, log_scale, resolved)
     floor = jnp.full(1, 1 / low_pass.variance, slant.dtype)
     slant = jnp.concatenate([slant, floor])
 
@@ -227,6 +219,7 @@ def _ellipse(rows: Float[Array, "2 3"]) -> tuple[Float[Array, "3"], Bool[Array, 
 def _slant(
     camera: Camera,
     point: Float[Array, "3"],
+    jacobian: Float[Array, "2 3"],
     axes: Float[Array, "3 3"],
     log_scale: Float[Array, "3"],
     resolved: Bool[Array, ""],
@@ -234,9 +227,12 @@ def _slant(
     """Returns g and H = (a, b; b, c) of the module's equations; zeros where rays are parallel."""
     if not camera.lens.CENTRAL:
         return jnp.zeros(5, point.dtype)
-    zero = jnp.zeros_like(point[2])
-    sideways = jnp.stack([1 / camera.fx, zero, zero]), jnp.stack([zero, 1 / camera.fy, zero])
-    across = point[2] * jnp.stack(sideways, axis=1)  # E: an offset in pixels moves the point at its depth
+    # E: offsets move the point by the inverse of the Jacobian, at its depth.
+    right, down = jacobian
+    onward = jax.grad(camera.lens.depth)(point)
+    sideways = jnp.stack([jnp.cross(down, onward), jnp.cross(onward, right)], axis=1)
+    volume = jnp.sum(right * sideways[:, 0])
+    across = sideways / jnp.where(resolved, volume, 1)
     largest, least = (jax.lax.stop_gradient(f(log_scale)) for f in (jnp.max, jnp.min))
     flattest = jnp.maximum(largest, -MAX_LOG_SCALE) + FLATTEST
     factor = jnp.exp(jnp.maximum(least, flattest) - jnp.maximum(log_scale, flattest))

@@ -45,7 +45,7 @@ def project(
         The 2D Gaussians that the camera sees, one row for each Gaussian, in the same order.
 
     Raises:
-        ValueError: as `render`; also if the filter is `AlongRays` and it does not support the camera.
+        ValueError: as `render`.
     """
     scene = seen.checked(scene)
     cameras.checked(camera)

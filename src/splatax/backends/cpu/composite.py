@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from splatax.backends import portable
+from splatax.backends.cpu import slanted
 from splatax.backends.cpu.library import Build
 from splatax.backends.linear import Dims, linear_call
 from splatax.backends.portable.composite import DERIVATIVE, directions, forward
@@ -25,13 +26,11 @@ def composite(
 ) -> tuple[Float[Array, "h w c"], Float[Array, "h w"]]:
     """Blends `channels` of the splats, nearest first, into every pixel; see `splatax.composite`.
 
-    Splats with slants are blended by the portable kernel.
-
     Raises:
         ValueError: if `pull` is asked for with more channels than the kernel blends together.
     """
     if splats.slants is not None:
-        return portable.composite(splats, channels)
+        return slanted.composite(splats, channels, build, max_pairs)
     if splats.pull is not None and channels.shape[1] > MAX_PULLED_CHANNELS:
         raise ValueError(
             f"the native rasterizer gives the gradient of `pull` for up to {MAX_PULLED_CHANNELS} "
@@ -152,7 +151,10 @@ def _draw(
 
 
 def select(splats: Splats, count: int, build: Build, max_pairs: int) -> Selection:
-    """Finds the splats that contribute most to each pixel; see `splatax.backends.reference.select`."""
+    """Finds the splats that contribute most to each pixel; see `splatax.backends.reference.select`.
+
+    For splats with slants, the portable kernel does.
+    """
     if splats.slants is not None:
         return portable.select(splats, count)
     size = (splats.height, splats.width)

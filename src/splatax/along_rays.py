@@ -18,7 +18,7 @@ of the point where the ray meets its plane, as by the homography of Huang et al.
 depth of this point is (1 + g . d) / z.
 
 This is exact for pinholes and where rays are parallel. Other lenses, and cameras that move during the
-exposure, are replaced around each mean by the pinhole that has their Jacobian there: perspective is exact, and
+exposure, are replaced around each mean by the pinhole with their Jacobian there: perspective is exact, and
 the curvature of the lens over one Gaussian is not seen.
 """
 

@@ -4,6 +4,7 @@ import base64
 import gzip
 import tempfile
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -188,6 +189,8 @@ def _variances(low_pass: LowPass) -> dict[str, Any]:
 
 def _spz(gaussians: Gaussians) -> bytes:
     nearby = _order(gaussians)
+    if isinstance(gaussians.low_pass, AlongRays):  # the page says how it is shown
+        gaussians = replace(gaussians, low_pass=Dilation())
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "scene.spz"
         formats.save(path, jax.tree.map(lambda leaf: leaf[nearby], gaussians), buckets=SH_BUCKETS)

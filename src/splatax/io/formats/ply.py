@@ -19,6 +19,7 @@ from splatax.errors import FormatError
 from splatax.gaussians import Gaussians
 from splatax.io.formats import compressed_ply, ply_table
 from splatax.io.formats.marks import DISCS, MARKS
+from splatax.io.formats.packing import LEAST_LOG_SCALE
 from splatax.io.formats.tolerance import Tolerance
 from splatax.low_pass import AlongRays, Dilation
 from splatax.math import harmonics
@@ -31,7 +32,7 @@ OPACITY = ("opacity",)
 SCALE = ("scale_0", "scale_1", "scale_2")
 ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
 
-FLAT = np.float32(-46.0)  # log scale in files of exactly flat discs; its square is above the least float32
+FLAT = np.float32(LEAST_LOG_SCALE)  # third log scale of exactly flat discs
 MAX_SH_DEGREE = 4
 LOSES = "Nothing: every number is kept, bit by bit."
 KEPT_MARKS = MARKS
@@ -70,7 +71,7 @@ def load(path: Path) -> Gaussians:
     if flat:
         log_scales = np.pad(log_scales, ((0, 0), (0, 1)), constant_values=-np.inf)
     elif DISCS in table.comments:
-        log_scales[:, 2] = np.where(log_scales[:, 2] <= FLAT, -np.inf, log_scales[:, 2])
+        log_scales[:, 2] = np.where(log_scales[:, 2] == FLAT, -np.inf, log_scales[:, 2])
     return Gaussians(
         means=jnp.asarray(columns(POSITION)),
         quats=jnp.asarray(columns(ROTATION)),
@@ -83,13 +84,14 @@ def load(path: Path) -> Gaussians:
 
 def save(path: Path, gaussians: Gaussians, *, comments: tuple[str, ...] = ()) -> None:
     """Writes Gaussians; see `formats.save`."""
+    log_scales = np.asarray(gaussians.log_scales)
     fields = {
         POSITION: np.asarray(gaussians.means),
         NORMAL: np.zeros((len(gaussians), 3), np.float32),
         DC: np.asarray(gaussians.sh[:, 0]),
         _rest_names(gaussians.sh.shape[1] - 1): _channel_major(np.asarray(gaussians.sh[:, 1:])),
         OPACITY: np.asarray(gaussians.opacity_logits)[:, None],
-        SCALE: _finite(np.asarray(gaussians.log_scales), DISCS in comments),
+        SCALE: _finite(log_scales) if DISCS in comments else log_scales,
         ROTATION: np.asarray(gaussians.quats),
     }
     names = [name for group in fields for name in group]
@@ -98,10 +100,9 @@ def save(path: Path, gaussians: Gaussians, *, comments: tuple[str, ...] = ()) ->
     ply_table.write(path, {"vertex": rows}, (*comments, f"SH degree: {gaussians.sh_degree}"))
 
 
-def _finite(log_scales: Float[np.ndarray, "n 3"], discs: bool) -> Float[np.ndarray, "n 3"]:
-    """Returns log scales with a number in place of the third of exactly flat discs."""
-    third = log_scales[:, 2:]
-    return np.hstack([log_scales[:, :2], np.where(np.isneginf(third), FLAT, third)]) if discs else log_scales
+def _finite(log_scales: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """Returns log scales with a number in place of -inf."""
+    return np.where(np.isneginf(log_scales), FLAT, log_scales)
 
 
 def comments(path: Path) -> tuple[str, ...]:

@@ -145,7 +145,7 @@ def test_small_gaussians_look_as_their_ellipses():
 
 def test_a_plane_of_discs_has_its_exact_depth_and_normal():
     camera = camera_at((0.4, -0.3, -4.0), size=(32, 24), focal=40.0)
-    discs = plane_of_gaussians(NORMAL, n=900, flat=0.0)
+    discs = plane_of_gaussians(NORMAL, n=900, flat=1e-12)
     outputs = ("surface_depth", "median_surface_depth", "normals", "alpha")
     drawn = sx.render(discs, camera, low_pass=sx.AlongRays(), outputs=outputs, backend="xla")
 
@@ -154,11 +154,11 @@ def test_a_plane_of_discs_has_its_exact_depth_and_normal():
         point = origin - direction * (NORMAL @ origin) / (NORMAL @ direction)
         return camera.lens.depth(camera.to_camera(point))
 
-    expected = np.asarray(jax.vmap(jax.vmap(depth))(pixel_centers(32, 24, jnp.float32)))
+    expected = np.asarray(jax.vmap(jax.vmap(depth))(pixel_centers(32, 24, jnp.dtype("float32"))))
     covered = np.asarray(drawn.alpha) > 0.5
     assert covered.sum() > 200
-    assert_allclose(drawn.surface_depth[covered], expected[covered], rtol=2e-6)
-    assert_allclose(drawn.median_surface_depth[covered], expected[covered], rtol=2e-6)
+    assert_allclose(drawn.surface_depth[covered], expected[covered], rtol=1e-5)
+    assert_allclose(drawn.median_surface_depth[covered], expected[covered], rtol=1e-5)
     assert_allclose(drawn.normals[covered], np.broadcast_to(NORMAL, (covered.sum(), 3)), atol=1e-6)
 
 
@@ -166,7 +166,7 @@ def test_nothing_is_drawn_outside_of_the_box_of_a_splat():
     gaussians, camera = scene(), camera_at((0.3, -0.2, -2.0), size=(60, 45), focal=54.0)
     gaussians = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), gaussians)
     splats = project(gaussians, camera, low_pass=sx.AlongRays(), backend="reference")
-    pixels = pixel_centers(60, 45, jnp.float32).reshape(-1, 2)
+    pixels = pixel_centers(60, 45, jnp.dtype("float32")).reshape(-1, 2)
     for i in np.flatnonzero(np.asarray(splats.extents[:, 0]) > 0):
         offsets = pixels - splats.means2d[i][None]
         rows = (
@@ -175,7 +175,7 @@ def test_nothing_is_drawn_outside_of_the_box_of_a_splat():
         )
         alpha = splats.opacities[i] * np.exp(-0.5 * along_rays.squared_distances(offsets, *rows))
         outside = (np.abs(offsets) > splats.extents[i][None]).any(axis=1)
-        assert (np.asarray(alpha)[outside] < MIN_ALPHA * 1.0001).all()
+        assert (np.asarray(alpha)[outside] < MIN_ALPHA).all()
 
 
 def test_ellipses_in_one_view_with_slanted_splats_are_drawn_as_before():

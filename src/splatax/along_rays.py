@@ -39,6 +39,7 @@ from splatax.splats import MIN_ALPHA, Splats
 FLATTEST = -20.0  # log of the ratio of two scales below which flatter Gaussians are treated alike
 THINNEST = 1e-3  # pixels: standard deviation of an image below which only the blur is drawn
 LEAST_BOUND = 1e-3  # eigenvalues up to this are those of a splat that is not bounded
+MARGIN = 1.001  # for rounding: what is lost beyond it is below 1/255 by less than a hundredth
 EVERYWHERE = 1e20  # reach of a splat that is not bounded: the camera is inside it
 
 
@@ -98,7 +99,7 @@ def bounds(
     xy, s, t = (jnp.where(bounded, value, none) for value in (xy, s, t))
     first = squared * (yy * s - xy * t) / determinant
     second = squared * (xx * t - xy * s) / determinant
-    reach = jnp.where(bounded, squared * (1 + s * first + t * second), EVERYWHERE)
+    reach = jnp.where(bounded, MARGIN * squared * (1 + s * first + t * second), EVERYWHERE)
     root = jnp.sqrt(xx)
     conics = jnp.stack([root * u, root * v + xy / root * w, jnp.sqrt(determinant / xx) * w], axis=1)
     return Bounds(jnp.stack([first / u + second * x, second * y], axis=1), conics, reach)

@@ -28,7 +28,7 @@ def penalty(scene, camera, parts, progress=1.0):
 
 def test_distortion_is_the_sum_over_pairs_of_discs():
     camera = camera_at((0.0, 0.0, -4.0), size=(9, 7), focal=10.0)
-    facing = plane_of_gaussians(np.array([0.0, 0.0, -1.0]), n=3, half=0.1, sigma=3.0, flat=0.0, opacity=0.6)
+    facing = plane_of_gaussians(np.array([0.0, 0.0, -1.0]), n=3, half=0.1, sigma=3.0, flat=1e-12, opacity=0.6)
     scene = replace(facing, means=facing.means.at[:, 2].set(jnp.array([0.0, 1.0, 3.0])))
     outputs = {"layers": LAYERS}
     splats = project(scene, camera, low_pass=sx.AlongRays(), backend="xla")
@@ -48,7 +48,7 @@ def test_distortion_is_the_sum_over_pairs_of_discs():
 
 def test_a_plane_of_discs_has_no_penalty_and_a_cloud_has_one():
     camera = camera_at((0.4, -0.3, -4.0), size=(24, 18), focal=30.0)
-    plane = plane_of_gaussians(NORMAL, n=300, sigma=0.2, flat=0.0)
+    plane = plane_of_gaussians(NORMAL, n=300, sigma=0.2, flat=1e-12)
     rng = np.random.default_rng(0)
     cloud = replace(plane, means=plane.means + jnp.asarray(rng.normal(size=(300, 3)) * 0.3, jnp.float32))
     parts = DiscGeometry()

@@ -103,10 +103,10 @@ def _pull_back(residuals, cotangents, build: Build, max_pairs: int):
         max_pairs=np.int64(max_pairs),
         pulled=np.int64(splats.pull is not None),
     )
-    total, k, slack, e, d_channels, pull = jnp.split(found, [1, 6, 12, 14, 14 + GROUP], axis=1)
+    total, k, slack, e, d_channels, pulls = jnp.split(found, [1, 6, 12, 14, 14 + GROUP], axis=1)
     none = jnp.zeros_like(total)  # the moments that no gradient needs
     moments = jnp.concatenate([total, none, k, slack / HALF_LOG2_E, none, e], axis=1)
-    pull = None if splats.pull is None else pull / HALF_LOG2_E
+    pull = None if splats.pull is None else pulls / HALF_LOG2_E
     return Slanted().gradients_of(splats, moments, pull), d_channels[:, :count]
 
 

@@ -177,7 +177,7 @@ def discs(steps: int = 30_000, max_gaussians: int = 1_000_000, views: int = 1) -
         recipe,
         initialization=Discs(FromPoints(opacity=0.5)),
         objective=replace(recipe.objective, prior=Sparsity(scale=0.0), geometry=DiscGeometry()),
-        low_pass=AlongRays(),
+        drawing=replace(recipe.drawing, low_pass=AlongRays()),
     )
 
 

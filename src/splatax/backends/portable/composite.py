@@ -3,7 +3,7 @@
 sorting.py    stable orders from sorts of words
 binning.py    splats -> lists of splats by tile, in rounds of bounded size
 tiles.py      the loop over tiles and lists
-responses.py  how opaque a splat is at a pixel: ellipses; slanted.py: splats that are drawn along rays
+responses.py  the opacity of a splat at pixels: ellipses; slanted.py: splats that are drawn along rays
 blending.py   the blend of a chunk of splats, forward and backward
 
 The forward pass stores no intermediate blends: the backward pass goes over the tiles again, starting from

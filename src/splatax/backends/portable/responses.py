@@ -1,4 +1,4 @@
-"""How opaque a splat is at the pixels of a tile, and the gradient of that: ellipses, and slanted splats.
+"""Opacity of splats at the pixels of a tile, and its gradient: ellipses, and the protocol of others.
 
 The gradients are made of moments over pixels of g = alpha dL/d alpha, and of multiples of it. `slanted.py`
 has the response of splats that are drawn along rays.

@@ -11,7 +11,7 @@ ROOT = Path(splatax.__file__).parent
 LAYERS = (  # lowest first; a package stands for all its modules
     {"ahead", "math", "errors", "packages", "shapes", "splits", "varying", "low_pass"},
     {"gaussians", "splats", "cameras", "dataset", "resampling", "scene", "transforms"},
-    {"footprints", "projection", "surfaces", "sky", "losses", "metrics", "lpips", "io"},
+    {"footprints", "projection", "along_rays", "surfaces", "sky", "losses", "metrics", "lpips", "io"},
     {"backends"},
     {"drawn", "surface_outputs", "outputs", "stages", "rendering", "trajectories"},
     {"training", "evaluation", "adjustment", "geometry_scores", "editing", "sensors"},

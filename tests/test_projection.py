@@ -9,11 +9,11 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scenes import camera_at, random_gaussians
-from splatax.low_pass import Antialiasing, Dilation
+from splatax.low_pass import AlongRays, Antialiasing, Dilation
 from splatax.math import quaternions
 from splatax.rendering import project, render
 
-LOW_PASSES = [Dilation(), Antialiasing()]
+LOW_PASSES = [Dilation(), Antialiasing(), AlongRays()]
 
 
 def one_gaussian(**fields):

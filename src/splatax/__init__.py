@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 __version__ = "0.1.0"
 
 HOMES = {  # public name -> module here that defines it
+    "AlongRays": "low_pass",
     "Antialiasing": "low_pass",
     "BLACK": "rendering",
     "Camera": "cameras",
@@ -109,6 +110,7 @@ if TYPE_CHECKING:  # the same names, for type checkers and editors; tests/test_i
     from splatax.io.formats import save as save
     from splatax.io.scenes import load_scene as load_scene
     from splatax.io.scenes import save_scene as save_scene
+    from splatax.low_pass import AlongRays as AlongRays
     from splatax.low_pass import Antialiasing as Antialiasing
     from splatax.low_pass import Dilation as Dilation
     from splatax.notebook import view as view

@@ -35,5 +35,26 @@ class Antialiasing:
         return jnp.sqrt(jnp.maximum(sharp / blurred, self.floor**2))
 
 
-LowPass = Dilation | Antialiasing
-LOW_PASSES: dict[str, LowPass] = {"dilation": Dilation(), "antialiasing": Antialiasing()}
+@dataclass(frozen=True)
+class AlongRays:
+    """Draws Gaussians by their largest density along the ray of each pixel, and none smaller than a blur.
+
+    The other filters draw the tangent image of a Gaussian, an ellipse that is widened. This one is exact in
+    perspective: at a pixel, the Gaussian has the larger of its best response along the ray and of a 2D
+    Gaussian of this variance around the image of its mean. A flat Gaussian is a disc, and its best response
+    that of the point where the ray meets it (Huang et al. 2024, Eq. 11). See `splatax.along_rays`.
+    """
+
+    variance: float = 0.5  # pixels^2
+
+    def fade(self, sharp: Float[Array, ""], blurred: Float[Array, ""]) -> Float[Array, ""]:
+        """Returns the factor on opacity, from the determinants before and after the variance is added: 1."""
+        return jnp.ones_like(sharp)
+
+
+LowPass = Dilation | Antialiasing | AlongRays
+LOW_PASSES: dict[str, LowPass] = {
+    "dilation": Dilation(),
+    "antialiasing": Antialiasing(),
+    "along-rays": AlongRays(),
+}

@@ -15,6 +15,7 @@ from splatax.shapes import check_arrays, check_size
 
 MIN_ALPHA = 1 / 255  # below one 8-bit level a splat is not drawn
 MAX_ALPHA = 0.99  # keeps 1 - alpha invertible in backward passes
+NO_BLUR = 1e30  # inverse variance of a blur that is smaller than any splat
 MIN_TRANSMITTANCE = 1e-4  # a pixel is finished before the splat that would take it lower
 # (all three from the authors' code of Kerbl et al. 2023)
 
@@ -26,7 +27,13 @@ class Splats:
 
     The alpha of splat i at pixel p, with d = p - means2d[i] and (u, v, w) = sqrt_conics[i], is
 
-        min(0.99, opacities[i] exp(-((u dx + v dy)^2 + (w dy)^2) / 2)),   0 where below 1/255.
+        min(0.99, opacities[i] exp(-q / 2)),   q = (u dx + v dy)^2 + (w dy)^2,   0 where below 1/255.
+
+    With (gx, gy, a, b, c, f) = slants[i], q is exact in perspective, and the splat never smaller than a blur:
+
+        q = min(((u dx + v dy)^2 + (w dy)^2) / (m^2 + a dx^2 + 2 b dx dy + c dy^2), f (dx^2 + dy^2))
+
+    with m = 1 + gx dx + gy dy, and without the first of the two where m <= 0; see `splatax.along_rays`.
 
     Attributes:
         means2d: centres, x right, y down, pixels.
@@ -43,6 +50,9 @@ class Splats:
             image.
         period: pixels after which the image repeats sideways, as a panorama does; None if it does not. What
             reaches over one side is drawn at the other too.
+        slants: None, or how the plane of each splat lies in perspective. The relative change of its inverse
+            depth with the pixel, 1 / pixels; three numbers of its thickness, 0 for a disc, 1 / pixels^2; and
+            the inverse variance of the blur, 1 / pixels^2, which has no gradient.
     """
 
     means2d: Float[Array, "n 2"]
@@ -55,6 +65,7 @@ class Splats:
     height: int = field(metadata={"static": True})
     pull: Float[Array, "n 2"] | None = None
     period: Float[Array, ""] | None = None
+    slants: Float[Array, "n 6"] | None = None
 
 
 def checked(splats: Splats, channels: Float[Array, "n c"] | None = None) -> Splats:
@@ -77,6 +88,8 @@ def checked(splats: Splats, channels: Float[Array, "n c"] | None = None) -> Spla
         arrays["pull"] = (splats.pull, "n 2")
     if splats.period is not None:
         arrays["period"] = (splats.period, "")
+    if splats.slants is not None:
+        arrays["slants"] = (splats.slants, "n 6")
     if channels is not None:
         arrays["channels"] = (channels, "n c")
     check_arrays("Splats", arrays)
@@ -90,11 +103,20 @@ def joined(views: Sequence[Splats]) -> Splats:
     The views must have one size and one period. The result is drawn in the order of its depths.
     """
     first, period = views[0], views[0].period
+    if any(splats.slants is not None for splats in views):
+        views = [replace(splats, slants=slants_of(splats)) for splats in views]
     rows = [replace(splats, period=None) for splats in views]
     return replace(
         first if len(views) == 1 else jax.tree.map(lambda *arrays: jnp.concatenate(arrays), *rows),
         period=period,
     )
+
+
+def slants_of(splats: Splats) -> Float[Array, "n 6"]:
+    """Returns the slants of splats; those of ellipses face the camera, without a blur."""
+    if splats.slants is not None:
+        return splats.slants
+    return jnp.zeros((len(splats.depths), 6), splats.means2d.dtype).at[:, 5].set(NO_BLUR)
 
 
 def unrolled(splats: Splats, channels: Float[Array, "n c"]) -> tuple[Splats, Float[Array, "m c"]]:

@@ -7,13 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from splatax import backends, cameras
+from splatax import along_rays, backends, cameras
 from splatax import splats as views
 from splatax.backends.protocol import MOST_SELECTED, Kernels, Selection
 from splatax.cameras import Camera
 from splatax.footprints import EWA, Method
 from splatax.gaussians import Gaussians
-from splatax.low_pass import LowPass
+from splatax.low_pass import AlongRays, LowPass
 from splatax.scene import Drawable, seen
 from splatax.shapes import check_dtypes
 from splatax.splats import Splats
@@ -62,7 +62,7 @@ def _project(
     scene, camera = vary_together(scene, camera)
     return views.joined(
         [
-            kernels.project(gaussians, own, low_pass or gaussians.low_pass, method)
+            _projected(gaussians, own, low_pass or gaussians.low_pass, kernels, method)
             for gaussians, own in seen.seen_from(scene, camera)
         ]
     )
@@ -95,11 +95,14 @@ def draw(
     """
     if not isinstance(scene, Gaussians) or len(scene) == 0:
         return None
+    low_pass = low_pass or scene.low_pass
+    if isinstance(low_pass, AlongRays):
+        return None
     cameras.checked(camera)
     check_dtypes("Gaussians and Camera", {"means": scene.means, "cam_from_world": camera.cam_from_world})
     if kernels.at_once(camera, projection) is None:
         return None
-    return _draw(scene, camera, depths, low_pass or scene.low_pass, kernels, projection)
+    return _draw(scene, camera, depths, low_pass, kernels, projection)
 
 
 @partial(jax.jit, static_argnames=("depths", "low_pass", "kernels", "projection"))
@@ -110,6 +113,15 @@ def _draw(
     assert kernel is not None
     scene, camera = vary_together(scene, camera)
     return kernel(scene, camera, low_pass, depths)
+
+
+def _projected(
+    gaussians: Gaussians, camera: Camera, low_pass: LowPass, kernels: Kernels, method: Method
+) -> Splats:
+    """Projects Gaussians. Those that are drawn along rays are projected in the same way for all backends."""
+    if isinstance(low_pass, AlongRays):
+        return along_rays.project(gaussians, camera, low_pass, method)
+    return kernels.project(gaussians, camera, low_pass, method)
 
 
 def select(splats: Splats, count: int, *, backend: str | Kernels = backends.AUTO) -> Selection:
@@ -156,8 +168,8 @@ def composite(
 ) -> tuple[Float[Array, "h w c"], Float[Array, "h w"]]:
     """Blends any per-splat channels front to back into every pixel.
 
-    Differentiable in means2d, sqrt_conics, opacities and channels. The order of depths is not differentiable;
-    to render depth, pass it as a channel. Splats with `pull` get its gradient too.
+    Differentiable in means2d, sqrt_conics, opacities, slants and channels. The order of depths is not
+    differentiable; to render depth, pass it as a channel. Splats with `pull` get its gradient too.
 
     Args:
         splats: their `colors` are not used: pass them as channels.

@@ -54,7 +54,8 @@ def planes(gaussians: Gaussians, camera: Camera, splats: Splats) -> Planes:
     A plane that is seen edge-on has no finite slope, and the low-pass makes the ellipse of a small Gaussian
     larger than its plane. Slopes are therefore limited: over the drawn ellipse, the standard deviation of
     the plane's inverse depth is at most twice that of the Gaussian, and the inverse depth stays positive.
-    Gaussians that span at least a third of a pixel down their slope keep their exact plane.
+    Gaussians that span at least a third of a pixel down their slope keep their exact plane. Those that are
+    drawn along rays (`splatax.along_rays`) keep it wherever they are drawn, except in their blur.
 
     Args:
         gaussians: the scene.
@@ -64,16 +65,18 @@ def planes(gaussians: Gaussians, camera: Camera, splats: Splats) -> Planes:
     shown = jnp.all(splats.extents > 0, axis=1)
     ahead = camera.position + camera.rotation[2]  # what every lens sees
 
-    def one(shown, mean, quat, log_scale, sqrt_conic, opacity):
+    def one(shown, mean, quat, log_scale, sqrt_conic, opacity, blur):
         mean, quat = jnp.where(shown, mean, ahead), jnp.where(shown, quat, jnp.eye(4, dtype=quat.dtype)[0])
         log_scale = jnp.where(shown, jnp.maximum(log_scale, LEAST_LOG_SCALE), 0)  # -inf is exactly flat
         opacity = jnp.where(shown, opacity, 1)
         sqrt_conic = jnp.where(shown, sqrt_conic, jnp.array([1, 0, 1], sqrt_conic.dtype))
         disparity, slope, normal, axis, spread = _plane(camera, mean, quat, log_scale)
-        return disparity, slope * _limit(disparity, slope, spread, sqrt_conic, opacity), normal, axis
+        limit = _limit(disparity, slope, spread, sqrt_conic, opacity, blur)
+        return disparity, slope * limit, normal, axis
 
+    blurs = None if splats.slants is None else 1 / splats.slants[:, 5]
     fields = gaussians.means, gaussians.quats, gaussians.log_scales, splats.sqrt_conics, splats.opacities
-    return Planes(*jax.vmap(one)(shown, *fields))
+    return Planes(*jax.vmap(one)(shown, *fields, blurs))
 
 
 def _plane(camera: Camera, mean: Float[Array, "3"], quat: Float[Array, "4"], log_scale: Float[Array, "3"]):
@@ -106,14 +109,19 @@ def _limit(
     spread: Float[Array, ""],
     sqrt_conic: Float[Array, "3"],
     opacity: Float[Array, ""],
+    blur: Float[Array, ""] | None,
 ) -> Float[Array, ""]:
-    """Returns the factor, at most 1, by which a slope is reduced; see `planes`."""
+    """Returns the factor, at most 1, by which a slope is reduced; see `planes`.
+
+    `blur` is the variance of a splat that is drawn along rays, and None for an ellipse, which has it inside.
+    """
     u, v, w = sqrt_conic
     first = slope[0] / u
     second = (slope[1] - v * first) / w
     squared = first * first + second * second
     sloped = squared > 0
-    drawn = jnp.sqrt(jnp.where(sloped, squared, 1))  # deviation of the plane over the drawn ellipse
+    blurred = squared if blur is None else jnp.sum(slope * slope) * blur
+    drawn = jnp.sqrt(jnp.where(sloped, blurred, 1))  # deviation of the plane over the drawn ellipse
     reach = jnp.sqrt(jnp.maximum(2 * jnp.log(jnp.maximum(opacity / MIN_ALPHA, 1)), 1e-6))
     most = jnp.minimum(STEEPEST * spread, FARTHEST * disparity / reach)
     return jnp.where(sloped, jnp.minimum(most / drawn, 1), 1)

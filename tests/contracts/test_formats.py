@@ -16,6 +16,7 @@ import splatax as sx
 from scenes import camera_at, random_gaussians
 from splatax.errors import FormatError
 from splatax.io import formats
+from splatax.io.formats.marks import mark
 from splatax.metrics import psnr, to_8bit
 
 WRITTEN = formats.suffixes("save")
@@ -145,15 +146,17 @@ def test_one_gaussian_is_a_scene(tmp_path, suffix):
     assert_allclose(sx.load(tmp_path / f"scene{suffix}").means, scene(n=1).means, atol=2e-4)
 
 
-@pytest.mark.parametrize("low_pass", [sx.Dilation(), sx.Antialiasing()])
+@pytest.mark.parametrize("low_pass", [sx.Dilation(), sx.Antialiasing(), sx.AlongRays()])
 def test_a_scene_is_loaded_with_the_filter_that_it_was_saved_with(tmp_path, suffix, low_pass):
-    path, kept = tmp_path / f"scene{suffix}", formats.FORMATS[suffix].KEEPS_FILTER
+    path, kept = tmp_path / f"scene{suffix}", formats.FORMATS[suffix].KEPT_MARKS
     given = replace(scene(n=3), low_pass=low_pass)
-    if kept or low_pass == sx.Dilation():
+    if mark(low_pass) in kept or low_pass == sx.Dilation():
         sx.save(path, given)
         assert sx.load(path).low_pass == low_pass
     else:
-        with pytest.warns(UserWarning, match="cannot say that its scene was trained with antialiasing"):
+        with pytest.warns(
+            UserWarning, match="cannot say that its scene was (trained with antialiasing|drawn along rays)"
+        ):
             sx.save(path, given)
 
 

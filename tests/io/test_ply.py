@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import splatax as sx
 from scenes import random_gaussians
 from splatax.errors import FormatError
+from splatax.io.formats import ply_table
 
 
 def header_and_rows(path):
@@ -99,6 +100,20 @@ def test_two_scales_are_flat_gaussians(tmp_path):
     gaussians = sx.load(tmp_path / "2dgs.ply")
     assert gaussians.log_scales[0, 2] == -np.inf
     assert gaussians.scales[0, 2] == 0
+    assert gaussians.low_pass == sx.AlongRays()
+
+
+def test_discs_have_a_tiny_third_scale_in_the_file_and_are_exactly_flat_again(tmp_path):
+    gaussians = random_gaussians(n=4)
+    discs = replace(
+        gaussians, log_scales=gaussians.log_scales.at[:, 2].set(-jnp.inf), low_pass=sx.AlongRays()
+    )
+    sx.save(tmp_path / "scene.ply", discs)
+    assert_same(sx.load(tmp_path / "scene.ply"), discs)
+    assert sx.load(tmp_path / "scene.ply").low_pass == sx.AlongRays()
+    stored = ply_table.read(tmp_path / "scene.ply").elements["vertex"]["scale_2"]
+    assert np.all(np.isfinite(stored))
+    assert np.all(np.exp(stored) < 1e-8)
 
 
 def test_empty_slots_are_left_out_and_broken_rows_with_a_warning(tmp_path):

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from splatax import losses, projection
+from splatax import along_rays, losses, projection
 from splatax.backends.linear import Dims, linear_call
 from splatax.backends.protocol import Kernels, Selection
 from splatax.splats import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, Splats
@@ -28,9 +28,10 @@ def composite(
     opacities = jnp.where(visible, splats.opacities, 0)[order]
     channels = channels[order]
     pull = None if splats.pull is None else splats.pull[order]
+    slants = None if splats.slants is None else splats.slants[order]
 
     def pixel(x: Float[Array, ""], y: Float[Array, ""]):
-        alphas = alphas_at(offsets(jnp.array([x, y]), means2d, pull), sqrt_conics, opacities)
+        alphas = alphas_at(offsets(jnp.array([x, y]), means2d, pull), sqrt_conics, opacities, slants)
         weights = weights_along_ray(alphas)
         return weights @ channels, jnp.sum(weights)
 
@@ -53,9 +54,10 @@ def select(splats: Splats, count: int) -> Selection:
     order = jnp.argsort(jnp.where(visible, splats.depths, jnp.inf), stable=True).astype(jnp.int32)
     means2d, sqrt_conics = splats.means2d[order], splats.sqrt_conics[order]
     opacities = jnp.where(visible, splats.opacities, 0)[order]
+    slants = None if splats.slants is None else splats.slants[order]
 
     def pixel(x: Float[Array, ""], y: Float[Array, ""]) -> Selection:
-        alphas = alphas_at(offsets(jnp.array([x, y]), means2d, None), sqrt_conics, opacities)
+        alphas = alphas_at(offsets(jnp.array([x, y]), means2d, None), sqrt_conics, opacities, slants)
         weights = weights_along_ray(alphas)
         largest, places = jax.lax.top_k(jnp.pad(weights, (0, count)), count)
         indices = jnp.where(largest > 0, order[jnp.minimum(places, n - 1)], -1)
@@ -114,11 +116,16 @@ def alphas_at(
     offsets: Float[Array, "n 2"],
     sqrt_conics: Float[Array, "n 3"],
     opacities: Float[Array, " n"],
+    slants: Float[Array, "n 6"] | None = None,
 ) -> Float[Array, " n"]:
     """Returns alpha = min(0.99, opacity G) at offsets from the means, or 0 if that is below 1/255."""
     dx, dy = offsets.T
     u, v, w = sqrt_conics.T
-    gaussian = jnp.exp(-0.5 * (jnp.square(u * dx + v * dy) + jnp.square(w * dy)))
+    if slants is None:
+        squared = jnp.square(u * dx + v * dy) + jnp.square(w * dy)
+    else:
+        squared = along_rays.squared_distances(offsets, sqrt_conics, slants)
+    gaussian = jnp.exp(-0.5 * squared)
     alphas = jnp.minimum(opacities * gaussian, MAX_ALPHA)
     return jnp.where(alphas >= MIN_ALPHA, alphas, 0)
 

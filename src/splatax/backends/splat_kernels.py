@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from splatax.backends.foreign import Shape
-from splatax.backends.portable.composite import backward, directions, forward
+from splatax.backends.portable.composite import arguments_of, backward, directions, forward, moved
 from splatax.splats import Splats
 
 
@@ -43,10 +43,9 @@ def second_derivative(primals, tangents) -> tuple[Splats, Float[Array, "n c"]]:
     (d_splats, d_channels, *_), d_cotangents = tangents
 
     def gradient(moving, cotangents):
-        means2d, sqrt_conics, opacities, channels = moving
-        moved = replace(splats, means2d=means2d, sqrt_conics=sqrt_conics, opacities=opacities)
-        return backward(forward(moved, channels)[1], cotangents)
+        return backward(forward(*moved(splats, moving))[1], cotangents)
 
-    point = directions(splats, channels)[:4], cotangents
-    _, out = jax.jvp(gradient, point, (directions(d_splats, d_channels)[:4], d_cotangents))
+    count = arguments_of(splats)
+    point = directions(splats, channels)[:count], cotangents
+    _, out = jax.jvp(gradient, point, (directions(d_splats, d_channels)[:count], d_cotangents))
     return out

@@ -20,7 +20,7 @@ from splatax.runs.planning import Deadline, Room, gaussians_here, smaller_photos
 from splatax.runs.poses import with_poses, write_poses
 from splatax.splits import Listed, listed_in
 from splatax.training.camera_refinement import check_lenses
-from splatax.training.initialize import InFrusta, focus_distance
+from splatax.training.initialize import Discs, InFrusta, focus_distance
 from splatax.training.recipes import MOST, PRESETS, detail_of, most_for, room_for
 
 MOST_LEFT_OUT = 0.5  # of the training photos that are left out
@@ -237,6 +237,7 @@ def counted_points(number: int) -> str:
 def random_start(dataset: sx.Dataset, settings: Settings) -> str:
     """Returns where random Gaussians begin, in words."""
     start = settings.initialization()
+    start = start.start if isinstance(start, Discs) else start
     assert isinstance(start, InFrusta)
     distance = focus_distance([view.camera for view in dataset.train], dataset.extent)
     near, far = start.nearest * distance, start.farthest * distance

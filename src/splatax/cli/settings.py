@@ -64,7 +64,7 @@ class Settings:
     recipe: RecipeName = "default"
     init: InitName = "sfm"
     background: BackgroundName | None = None
-    low_pass: LowPassName = "dilation"
+    low_pass: LowPassName | None = None
     appearance: AppearanceName = "auto"
     refine: RefinementName = "none"
     adjust_poses: bool = False
@@ -134,7 +134,7 @@ class Settings:
             recipe = replace(recipe, objective=replace(recipe.objective, geometry=Surfaces()))
         drawing = Drawing(
             background=BACKGROUNDS[self.background] if self.background else recipe.drawing.background,
-            low_pass=LOW_PASSES[self.low_pass],
+            low_pass=LOW_PASSES[self.low_pass] if self.low_pass else recipe.drawing.low_pass,
             backend=resolve_backend(self.backend),
         )
         return replace(

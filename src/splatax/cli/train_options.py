@@ -110,8 +110,9 @@ class Method:
     haze; evaluation uses black. By default white for Blender's scenes, random for the recipe "default", else
     black."""
     low_pass: Annotated[LowPassName | None, shown_as()] = None
-    """Anti-aliasing filter. "dilation", the default: as in 3DGS; "antialiasing": as in Mip-Splatting, keeps
-    the brightness correct when zoomed out."""
+    """Anti-aliasing filter. "dilation": as in 3DGS; "antialiasing": as in Mip-Splatting, keeps the brightness
+    correct when zoomed out; "along-rays": exact in perspective, as in 2DGS. By default "along-rays" for the
+    recipe "2dgs", else "dilation"."""
     appearance: Annotated[AppearanceName | None, shown_as()] = None
     """Compensate differences between photos. "exposure": learns an affine color map for each training photo,
     for exposure and white balance. By default "auto": only if exposure differs much. Held-out photos are

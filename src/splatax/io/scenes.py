@@ -3,7 +3,6 @@
 `splatax.load` reads such a file as one set of Gaussians, and `load_scene` as parts.
 """
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +13,8 @@ from splatax.errors import FormatError
 from splatax.gaussians import Gaussians, broken
 from splatax.io.formats import glb
 from splatax.io.formats.glb_scene import VISIBILITY
-from splatax.io.formats.marks import MIP, mark
+from splatax.io.formats.marks import mark, marked
 from splatax.io.formats.untrusted import structured
-from splatax.low_pass import Antialiasing
 from splatax.scene import Part, Scene
 from splatax.transforms import Similarity, half_turn
 
@@ -39,13 +37,12 @@ def load_scene(path: str | Path) -> Scene:
         raise FormatError(f"{path}: no such file. Give a .glb file with splats.")
     with structured(path, path.suffix):
         found = glb.placed(path)
-        antialiased = MIP in glb.comments(path)
+        comments = glb.comments(path)
     turned: dict[int, Gaussians] = {}
     parts: dict[str, Part] = {}
     for at, gaussians in found:
         if id(gaussians) not in turned:
-            own = half_turn(gaussians, axis=2)
-            turned[id(gaussians)] = replace(own, low_pass=Antialiasing()) if antialiased else own
+            turned[id(gaussians)] = marked(half_turn(gaussians, axis=2), comments)
         name = _unused(at.name or "part", parts)
         parts[name] = Part(turned[id(gaussians)], _half_turned(at.place), at.visible)
     return Scene(parts)
@@ -74,8 +71,8 @@ def save_scene(path: str | Path, scene: Scene, *, comments: tuple[str, ...] = ()
     filters = {part.gaussians.low_pass for part in scene.parts.values()}
     if len(filters) > 1:
         raise FormatError(
-            f"{path}: a file names one low-pass filter, and some parts were trained with antialiasing, "
-            "others without. Train them alike."
+            f"{path}: a file names one low-pass filter, and the parts were trained with different ones. "
+            "Train them alike."
         )
     meshes: dict[tuple[int, int], int] = {}
     written: list[Gaussians] = []

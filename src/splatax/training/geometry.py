@@ -84,7 +84,7 @@ class Surfaces:
         progress: Float[Array, ""],
     ) -> Float[Array, ""]:
         """Returns the sum of the penalties; see `splatax.training.protocols.Geometry`."""
-        depth, spread = images["layers"]
+        depth, spread, _ = images["layers"]
         penalty = self.spread * jnp.mean(spread)
         if self.consistency:
             penalty += self.consistency * inconsistency(images["facing"], depth, camera)
@@ -149,10 +149,12 @@ class Layers(NamedTuple):
     Attributes:
         depth: that of the output "surface_depth"; 0 where nothing is.
         spread: alpha times the standard deviation of the planes' inverse depth, relative to its mean.
+        scatter: the sum over pairs of planes of both weights and the squared difference of inverse depths.
     """
 
     depth: Float[Array, "h w"]
     spread: Float[Array, "h w"]
+    scatter: Float[Array, "h w"]
 
 
 def _moments(seen: Seen) -> Float[Array, "n 9"]:
@@ -173,12 +175,13 @@ def _layers(drawn: Drawn) -> Layers:
     # The standard deviation has an infinite slope at zero.
     ratio = jnp.maximum(second * drawn.alpha / (mean * mean) - 1, 0) + LEAST_VARIANCE
     spread = jnp.where(covered, drawn.alpha * jnp.sqrt(ratio), 0)
-    return Layers(jnp.where(covered, drawn.alpha / mean, 0), spread)
+    scatter = jnp.maximum(second * drawn.alpha - first * first, 0)
+    return Layers(jnp.where(covered, drawn.alpha / mean, 0), spread, scatter)
 
 
 def _one_layer(drawn: Drawn) -> Layers:
     depth = surface_depth(drawn)
-    return Layers(depth, jnp.zeros_like(depth))
+    return Layers(depth, jnp.zeros_like(depth), jnp.zeros_like(depth))
 
 
 def _normals(seen: Seen) -> Float[Array, "n 3"]:

@@ -1,7 +1,7 @@
 """Initialization: the first Gaussians, from the capture's points or at random in front of the cameras."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -82,6 +82,33 @@ class InFrusta:
             positions[rows] = unproject(camera, pixels[rows], 1 / inverse_depth[rows])
         colors = rng.uniform(size=(self.count, 3)).astype(np.float32)
         return _round_gaussians(positions, colors, self.opacity, self.scale, sh_degree, dataset.extent)
+
+
+@dataclass(frozen=True)
+class Discs:
+    """Makes exactly flat Gaussians of those of another initialization, in random directions (2DGS).
+
+    Attributes:
+        start: places them.
+    """
+
+    start: "FromPoints | InFrusta"
+
+    def number(self, dataset: Dataset) -> int:
+        """Returns the number of Gaussians that `start` has."""
+        return self.start.number(dataset)
+
+    def __call__(self, dataset: Dataset, sh_degree: int, seed: int) -> Gaussians:
+        """Returns the Gaussians with a third scale of zero.
+
+        Raises:
+            DatasetError: if the capture lacks what they are made from.
+        """
+        gaussians = self.start(dataset, sh_degree, seed)
+        quats = np.random.default_rng(seed).normal(size=(len(gaussians), 4))
+        quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+        flat = gaussians.log_scales.at[:, 2].set(-jnp.inf)
+        return replace(gaussians, quats=jnp.asarray(quats, jnp.float32), log_scales=flat)
 
 
 def isolated(positions: Float[np.ndarray, "n 3"], deviations: float) -> Bool[np.ndarray, " n"]:

@@ -10,15 +10,16 @@ from jaxtyping import Float
 from splatax.backends.protocol import Kernels
 from splatax.dataset import Dataset
 from splatax.losses import Photometric
-from splatax.low_pass import Dilation, LowPass
+from splatax.low_pass import AlongRays, Dilation, LowPass
 from splatax.math.harmonics import MAX_DEGREE
 from splatax.rendering import Renderer
 from splatax.training.appearance import NoAppearance
 from splatax.training.backgrounds import Random, Solid
 from splatax.training.camera_refinement import FixedCameras
 from splatax.training.density import ByStep, Classic, Mcmc, Splitting
+from splatax.training.disc_geometry import DiscGeometry
 from splatax.training.geometry import NoGeometry
-from splatax.training.initialize import FromPoints, InFrusta
+from splatax.training.initialize import Discs, FromPoints, InFrusta
 from splatax.training.noise import Langevin
 from splatax.training.optimizer import LearningRates, Optimizer, ViewDepth
 from splatax.training.priors import NoPrior, Sparsity
@@ -177,6 +178,21 @@ def default(steps: int = 30_000, max_gaussians: int = 1_000_000, views: int = 1)
     return with_views(recipe, views)
 
 
+def discs(steps: int = 30_000, max_gaussians: int = 1_000_000, views: int = 1) -> Recipe:
+    """Returns `default` with the discs and the regularizers of 2DGS (Huang et al. 2024).
+
+    The Gaussians are exactly flat and drawn along rays. They start as large as their neighbours are far, and
+    their size is not penalized: one below the blur of a pixel gets no gradient that would let it grow again.
+    """
+    recipe = default(steps, max_gaussians, views)
+    return replace(
+        recipe,
+        initialization=Discs(FromPoints(opacity=0.5)),
+        objective=replace(recipe.objective, prior=Sparsity(scale=0.0), geometry=DiscGeometry()),
+        drawing=replace(recipe.drawing, low_pass=AlongRays()),
+    )
+
+
 def rates_for(steps: int) -> LearningRates:
     """Returns learning rates for a run of this length: the authors', raised if it is short.
 
@@ -248,7 +264,7 @@ class Preset:
 
     build: Callable[..., Recipe]
     max_gaussians: Callable[[Dataset], int] = room_for
-    random_start: InFrusta = InFrusta()
+    random_start: InFrusta | Discs = InFrusta()
     plannable: bool = False
 
 
@@ -261,5 +277,6 @@ PRESETS = {
     "classic": Preset(classic, authors_limit),
     "absgrad": Preset(absgrad, authors_limit),
     "mcmc": Preset(mcmc, random_start=InFrusta(opacity=0.5, scale=0.1)),
+    "2dgs": Preset(discs, random_start=Discs(InFrusta(opacity=0.5))),
     "default": Preset(default, random_start=InFrusta(opacity=0.5, scale=0.1), plannable=True),
 }

@@ -4,6 +4,7 @@ import base64
 import gzip
 import tempfile
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from splatax.errors import FormatError, InputError
 from splatax.gaussians import Gaussians, broken
 from splatax.io import formats
 from splatax.io.files import write_whole
-from splatax.low_pass import Antialiasing, Dilation, LowPass
+from splatax.low_pass import AlongRays, Antialiasing, Dilation, LowPass
 from splatax.math import morton
 from splatax.scene import Drawable, seen
 from splatax.transforms import Similarity
@@ -174,15 +175,22 @@ def _viewer() -> bytes:
 
 
 def _variances(low_pass: LowPass) -> dict[str, Any]:
-    """Returns the variances that the viewer's two filters add to each footprint, pixels^2."""
+    """Returns the variances that the viewer's two filters add to each footprint, pixels^2.
+
+    The viewer draws ellipses only. It shows scenes that are drawn along rays as thin Gaussians with the usual
+    dilation.
+    """
+    dilation = Dilation() if isinstance(low_pass, AlongRays) else low_pass
     return {
-        "dilation": low_pass.variance if isinstance(low_pass, Dilation) else 0,
+        "dilation": dilation.variance if isinstance(dilation, Dilation) else 0,
         "antialiasing": low_pass.variance if isinstance(low_pass, Antialiasing) else 0,
     }
 
 
 def _spz(gaussians: Gaussians) -> bytes:
     nearby = _order(gaussians)
+    if isinstance(gaussians.low_pass, AlongRays):  # the page says how it is shown
+        gaussians = replace(gaussians, low_pass=Dilation())
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "scene.spz"
         formats.save(path, jax.tree.map(lambda leaf: leaf[nearby], gaussians), buckets=SH_BUCKETS)

@@ -8,6 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from splatax.backends import portable
+from splatax.backends.cpu import slanted
 from splatax.backends.cpu.library import Build
 from splatax.backends.linear import Dims, linear_call
 from splatax.backends.portable.composite import DERIVATIVE, directions, forward
@@ -27,6 +29,8 @@ def composite(
     Raises:
         ValueError: if `pull` is asked for with more channels than the kernel blends together.
     """
+    if splats.slants is not None:
+        return slanted.composite(splats, channels, build, max_pairs)
     if splats.pull is not None and channels.shape[1] > MAX_PULLED_CHANNELS:
         raise ValueError(
             f"the native rasterizer gives the gradient of `pull` for up to {MAX_PULLED_CHANNELS} "
@@ -147,7 +151,12 @@ def _draw(
 
 
 def select(splats: Splats, count: int, build: Build, max_pairs: int) -> Selection:
-    """Finds the splats that contribute most to each pixel; see `splatax.backends.reference.select`."""
+    """Finds the splats that contribute most to each pixel; see `splatax.backends.reference.select`.
+
+    For splats with slants, the portable kernel does.
+    """
+    if splats.slants is not None:
+        return portable.select(splats, count)
     size = (splats.height, splats.width)
     indices, weights, median = build.call(
         "splatax_select",

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from splatax.backends import portable
 from splatax.backends.cuda.library import Library
 from splatax.backends.foreign import Shape
 from splatax.backends.linear import Dims, linear_call
@@ -25,9 +26,13 @@ def composite(
 ) -> tuple[Float[Array, "h w c"], Float[Array, "h w"]]:
     """Blends `channels` of the splats, nearest first, into every pixel; see `splatax.composite`.
 
+    Splats with slants are blended by the portable kernel.
+
     Raises:
         ValueError: if `pull` is asked for with more channels than the kernel blends together.
     """
+    if splats.slants is not None:
+        return portable.composite(splats, channels)
     c = channels.shape[1]
     if splats.pull is not None and c > MAX_PULLED_CHANNELS:
         raise ValueError(

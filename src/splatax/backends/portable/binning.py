@@ -16,8 +16,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from splatax import along_rays
 from splatax.backends.portable.sorting import bits_for, depth_order, stable_order
-from splatax.splats import MIN_ALPHA, Splats
+from splatax.splats import MIN_ALPHA, Splats, slants_of
 
 TILE = 8  # pixels per side; 16 would have fewer slots, but 2.4 times the pixels to evaluate
 SLOTS_PER_TILE = 64  # slots of a full round per tile, enough to fill the chunks that blending uses
@@ -52,6 +53,7 @@ class Boxes(NamedTuple):
     corner: Int[Array, "n 2"]  # first tile column and row
     extent: Int[Array, "n 2"]  # number of columns and rows; zero when culled
     ellipses: Float[Array, "n 8"]  # for `touches_tile`
+    blurs: Float[Array, "n 8"] | None  # those of slanted splats, which are drawn in them too
 
 
 class Cursor(NamedTuple):
@@ -88,21 +90,43 @@ def tile_boxes(splats: Splats, grid: Grid) -> Boxes:
     order = depth_order(splats.depths, visible)
     shown = visible[:, None]
     first, last = (jnp.where(shown, pixel, 0).astype(jnp.int32) // TILE for pixel in (first, last))
-    return Boxes(
-        order, first[order], jnp.where(shown, last - first + 1, 0)[order], ellipses_of(splats)[order]
-    )
+    extent = jnp.where(shown, last - first + 1, 0)
+    if splats.slants is None:
+        return Boxes(order, first[order], extent[order], ellipses_of(splats)[order], None)
+    ellipses, blurs = slanted_ellipses_of(splats)
+    return Boxes(order, first[order], extent[order], ellipses[order], blurs[order])
 
 
 def ellipses_of(splats: Splats) -> Float[Array, "n 8"]:
-    """Returns rows for `touches_tile`: mean x, y, u, v, w, the slopes dx/dy and dy/dx, reach^2.
-
-    The slopes are those from the mean to the points of least distance on horizontal and vertical lines.
-    """
-    u, v, w = splats.sqrt_conics.T
+    """Returns the ellipses of splats that have no slants, for `touches_tile`."""
     reach = 2 * jnp.log(jnp.maximum(splats.opacities, MIN_ALPHA) / MIN_ALPHA)
+    return ellipse_rows(splats.means2d, splats.sqrt_conics, reach)
+
+
+def slanted_ellipses_of(splats: Splats) -> tuple[Float[Array, "n 8"], Float[Array, "n 8"]]:
+    """Returns the ellipses of slanted splats and those of their blurs, for `touches_tile`."""
+    slants = slants_of(splats)
+    found = along_rays.bounds(splats.sqrt_conics, slants, splats.opacities)
+    reach = 2 * jnp.log(jnp.maximum(splats.opacities, MIN_ALPHA) / MIN_ALPHA)
+    root = jnp.sqrt(slants[:, 5])
+    blurs = jnp.stack([root, jnp.zeros_like(root), root], axis=1)
+    return (
+        ellipse_rows(splats.means2d + found.offsets, found.sqrt_conics, found.reach),
+        ellipse_rows(splats.means2d, blurs, reach),
+    )
+
+
+def ellipse_rows(
+    centres: Float[Array, "n 2"], sqrt_conics: Float[Array, "n 3"], reach: Float[Array, " n"]
+) -> Float[Array, "n 8"]:
+    """Returns rows for `touches_tile`: centre x, y, u, v, w, the slopes dx/dy and dy/dx, reach^2.
+
+    The slopes are those from the centre to the points of least distance on horizontal and vertical lines.
+    """
+    u, v, w = sqrt_conics.T
     # A margin for rounding: an extra tile costs time, a missing one would lose pixels.
     columns = [u, v, w, -v / u, -u * v / (v * v + w * w), 1.001 * reach + 1e-3]
-    return jnp.concatenate([splats.means2d, jnp.stack(columns, axis=1)], axis=1)
+    return jnp.concatenate([centres, jnp.stack(columns, axis=1)], axis=1)
 
 
 def capacity_of_round(splats: int, grid: Grid) -> int:
@@ -147,7 +171,10 @@ def bin_round(cursor: Cursor, boxes: Boxes, grid: Grid) -> Round:
     column = boxes.corner[ranks, 0] + inside - down * columns
     row = boxes.corner[ranks, 1] + down
     corner = (jnp.stack([column, row], axis=1) * TILE).astype(boxes.ellipses.dtype)
-    hit = (slot < left) & touches_tile(boxes.ellipses[ranks], corner)
+    touches = touches_tile(boxes.ellipses[ranks], corner)
+    if boxes.blurs is not None:
+        touches |= touches_tile(boxes.blurs[ranks], corner)
+    hit = (slot < left) & touches
     tile = jnp.where(hit, row * grid.columns + column, grid.tiles).astype(jnp.uint32)
     tile = lax.optimization_barrier(tile)
     order = stable_order(tile)

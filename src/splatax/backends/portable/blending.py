@@ -9,41 +9,30 @@ and the sum over the splats behind is the total minus the sum over the splats bl
 """
 
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from splatax.backends.portable.binning import TILE
-from splatax.backends.portable.tiles import PIXELS, Chunk, X, Y
+from splatax.backends.portable.responses import Response
+from splatax.backends.portable.tiles import Chunk
 from splatax.splats import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE
 
-SHAPE = 6  # columns of a table row that precede its channels
 GROUP = 4  # splats whose running product or sum is unrolled
-CENTRE = TILE / 2
-MOMENTS = np.stack(  # of a tile's pixels about its centre, where coordinates are small
-    [
-        np.ones(PIXELS),
-        X - CENTRE,
-        Y - CENTRE,
-        (X - CENTRE) ** 2,
-        (X - CENTRE) * (Y - CENTRE),
-        (Y - CENTRE) ** 2,
-    ],
-    axis=1,
-)
 
 
 def blend(
-    state: tuple[Float[Array, "b p"], Float[Array, "b c p"]], shared: None, chunk: Chunk
+    state: tuple[Float[Array, "b p"], Float[Array, "b c p"]],
+    shared: None,
+    chunk: Chunk,
+    response: Response,
 ) -> tuple[tuple[Float[Array, "b p"], Float[Array, "b c p"]], None]:
     """Adds a chunk to (transmittance, sums of weight times channel)."""
     transmittance, sums = state
-    alphas = lax.optimization_barrier(clamp(raw_alphas(chunk)))
+    alphas = lax.optimization_barrier(clamp(response.raw_alphas(chunk)))
     weights, transmittance = blend_weights(alphas, transmittance)
     weights = lax.optimization_barrier(weights)
     # The loop over k is unrolled: XLA's small batched matmul is several times slower on CPU.
     for k in range(weights.shape[1]):
-        sums = sums + chunk.rows[:, k, SHAPE:, None] * weights[:, k, None, :]
+        sums = sums + chunk.rows[:, k, response.COLUMNS :, None] * weights[:, k, None, :]
     return (transmittance, sums), None
 
 
@@ -51,24 +40,27 @@ def blend_gradient(
     state: tuple[Float[Array, "b p"], Float[Array, "b p"], Float[Array, "b c p"]],
     gradients: Float[Array, "rows t"],
     chunk: Chunk,
+    response: Response,
     watched: bool,
 ) -> tuple[tuple[Float[Array, "b p"], Float[Array, "b p"], Float[Array, "b c p"]], Float[Array, "rows t"]]:
     """Adds the contribution of a chunk to the gradients of its splats.
 
     Args:
         state: transmittance, sum of w_j s_j over the splats behind, dL/d sums.
-        gradients: for each row, the moments sum g, sum g dx, sum g dy, sum g dx^2, sum g dx dy,
-            sum g dy^2 over pixels, where g = alpha dL/d alpha; then dL/d channels; then, if
-            watched, sum |dL/dx|, sum |dL/dy|.
+        gradients: for each row, the sums over pixels that the response needs of g = alpha dL/d alpha; then
+            dL/d channels; then, if watched, sum |dL/dx|, sum |dL/dy|.
         chunk: splats to process.
+        response: of the splats at pixels.
         watched: whether the gradient of `Splats.pull` is requested.
     """
     transmittance, behind, d_sums = state
-    raw = lax.optimization_barrier(raw_alphas(chunk))
+    raw = lax.optimization_barrier(response.raw_alphas(chunk))
     alphas = clamp(raw)
     weights, transmittance = blend_weights(alphas, transmittance)
     weights = lax.optimization_barrier(weights)
-    values = sum(chunk.rows[:, :, SHAPE + c, None] * d_sums[:, None, c] for c in range(d_sums.shape[1]))
+    values = sum(
+        chunk.rows[:, :, response.COLUMNS + c, None] * d_sums[:, None, c] for c in range(d_sums.shape[1])
+    )
     shares = lax.optimization_barrier(weights * values)
     blended, total = running(jnp.add, shares, jnp.zeros_like(behind))
     still_behind = behind[:, None] - blended - shares
@@ -78,51 +70,11 @@ def blend_gradient(
     g = lax.optimization_barrier(g)
 
     d_channels = jnp.einsum("bkp,bcp->bkc", weights, d_sums, precision="highest")
-    moments = jnp.einsum("bkp,pm->bkm", g, jnp.asarray(MOMENTS, g.dtype), precision="highest")
-    columns = [about_mean(moments, means_in_tile(chunk)), d_channels]
+    columns = [response.sums(g, chunk), d_channels]
     if watched:
-        columns.append(pull_of(g, chunk))
+        columns.append(response.pull_of(g, chunk))
     rows = jnp.concatenate(columns, axis=-1)
     return (transmittance, behind - total, d_sums), gradients.at[chunk.ranks].add(rows)
-
-
-def pull_of(g: Float[Array, "b k p"], chunk: Chunk) -> Float[Array, "b k 2"]:
-    """Returns the sums over pixels of |dL/d mean|, where dL/d mean is g (t (u, v) + s (0, w))."""
-    u, v, w = (chunk.rows[:, :, i, None] for i in range(2, 5))
-    t, s = along_axes(chunk)
-    return jnp.stack(
-        [jnp.sum(jnp.abs(g * u * t), axis=-1), jnp.sum(jnp.abs(g * (v * t + w * s)), axis=-1)], axis=-1
-    )
-
-
-def means_in_tile(chunk: Chunk) -> Float[Array, "b k 2"]:
-    """Returns the means of the splats, relative to the corner of their tile."""
-    return chunk.rows[..., :2] - chunk.corner[:, None, :]
-
-
-def about_mean(moments: Float[Array, "b k 6"], means: Float[Array, "b k 2"]) -> Float[Array, "b k 6"]:
-    """Shifts moments about the tile's centre to moments about the splats' means."""
-    g, gx, gy, gxx, gxy, gyy = jnp.moveaxis(moments, -1, 0)
-    dx, dy = jnp.moveaxis(CENTRE - means, -1, 0)
-    x1, y1 = gx + dx * g, gy + dy * g
-    return jnp.stack(
-        [g, x1, y1, gxx + dx * (gx + x1), gxy + dx * gy + dy * x1, gyy + dy * (gy + y1)], axis=-1
-    )
-
-
-def raw_alphas(chunk: Chunk) -> Float[Array, "b k p"]:
-    """Returns opacity G at the pixels of a tile, before it is clamped."""
-    t, s = along_axes(chunk)
-    return chunk.rows[:, :, 5, None] * jnp.exp(-0.5 * (jnp.square(t) + jnp.square(s)))
-
-
-def along_axes(chunk: Chunk) -> tuple[Float[Array, "b k p"], Float[Array, "b k p"]]:
-    """Returns t = u dx + v dy and s = w dy at the pixels of a tile."""
-    u, v, w = (chunk.rows[:, :, i, None] for i in range(2, 5))
-    x, y = jnp.moveaxis(means_in_tile(chunk), -1, 0)
-    dx = jnp.asarray(X, x.dtype)[None, None] - x[..., None]
-    dy = jnp.asarray(Y, y.dtype)[None, None] - y[..., None]
-    return u * dx + v * dy, w * dy
 
 
 def clamp(raw: Float[Array, "b k p"]) -> Float[Array, "b k p"]:

@@ -3,6 +3,7 @@
 sorting.py    stable orders from sorts of words
 binning.py    splats -> lists of splats by tile, in rounds of bounded size
 tiles.py      the loop over tiles and lists
+responses.py  the opacity of a splat at pixels: ellipses; slanted.py: splats that are drawn along rays
 blending.py   the blend of a chunk of splats, forward and backward
 
 The forward pass stores no intermediate blends: the backward pass goes over the tiles again, starting from
@@ -22,6 +23,8 @@ from jaxtyping import Array, Bool, Float
 from splatax.backends.linear import Dims, linear_call
 from splatax.backends.portable import blending
 from splatax.backends.portable.binning import Boxes, Cursor, Grid, Round, bin_round, slabs_of, tile_boxes
+from splatax.backends.portable.responses import Ellipses, Response
+from splatax.backends.portable.slanted import Slanted
 from splatax.backends.portable.tiles import PIXELS, X, Y, corners, to_image, to_tiles, visit
 from splatax.splats import Splats
 from splatax.varying import vary_over, varying_axes
@@ -49,15 +52,17 @@ def forward(splats: Splats, channels: Float[Array, "n c"]):
     """Returns the image, and the residuals of its gradient."""
     grid = Grid(splats.width, splats.height)
     boxes = tile_boxes(splats, grid)
+    response = response_of(splats)
     table = table_of(splats, channels, boxes)
+    blend_chunk = partial(blending.blend, response=response)
     next_round = partial(bin_round, boxes=boxes, grid=grid)
 
     def blend(cursor: Cursor, round: Round, carry):
         state, first = carry
-        state, _ = visit(round.lists, table, grid, blending.blend, state, None)
+        state, _ = visit(round.lists, table, grid, blend_chunk, state, None)
         return state, jax.tree.map(partial(jnp.where, at_start(cursor)), round, first)
 
-    sums = jnp.zeros((grid.tiles, table.shape[1] - blending.SHAPE, PIXELS), table.dtype)
+    sums = jnp.zeros((grid.tiles, table.shape[1] - response.COLUMNS, PIXELS), table.dtype)
     nothing = jax.tree.map(
         lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(next_round, Cursor.start())
     )
@@ -71,7 +76,7 @@ def forward(splats: Splats, channels: Float[Array, "n c"]):
 def backward(residuals: Residuals, cotangents) -> tuple[Splats, Float[Array, "n c"]]:
     """Returns the gradients of all splats, from those of the image."""
     splats, channels, sums, boxes, first = residuals
-    grid = Grid(splats.width, splats.height)
+    grid, response = Grid(splats.width, splats.height), response_of(splats)
     table = table_of(splats, channels, boxes)
     d_sums = jnp.concatenate([cotangents[0], cotangents[1][..., None]], axis=-1)
     behind = to_tiles(jnp.sum(sums * d_sums, axis=-1, keepdims=True), grid)[:, 0]
@@ -80,17 +85,18 @@ def backward(residuals: Residuals, cotangents) -> tuple[Splats, Float[Array, "n 
         return lax.cond(at_start(cursor), lambda: first, lambda: bin_round(cursor, boxes, grid))
 
     watched = splats.pull is not None
-    blend_gradient = partial(blending.blend_gradient, watched=watched)
+    blend_gradient = partial(blending.blend_gradient, response=response, watched=watched)
+    width = response.SUMS + table.shape[1] - response.COLUMNS  # before those of `pull`
 
     def add_gradients(_, round: Round, carry):
         return visit(round.lists, table, grid, blend_gradient, *carry)
 
     state = (inside(grid, table.dtype), behind, to_tiles(d_sums, grid))
-    nothing = jnp.zeros((table.shape[0], table.shape[1] + 2 * watched), table.dtype)
+    nothing = jnp.zeros((table.shape[0], width + 2 * watched), table.dtype)
     _, gradients = for_each_round(next_round, add_gradients, (state, nothing), boxes, grid)
     gradients = jnp.zeros_like(gradients[:-1]).at[boxes.order].set(gradients[:-1], unique_indices=True)
-    moments, d_channels, pull = jnp.split(gradients, [blending.SHAPE, table.shape[1]], axis=1)
-    return gradients_of(splats, moments, pull if watched else None), d_channels[:, :-1]
+    shape, d_channels, pull = jnp.split(gradients, [response.SUMS, width], axis=1)
+    return response.gradients_of(splats, shape, pull if watched else None), d_channels[:, :-1]
 
 
 @composite.defjvp
@@ -100,9 +106,22 @@ def _(primals, tangents):
 
 
 def directions(splats: Splats, channels: Float[Array, "n c"]) -> tuple[Array, ...]:
-    """Returns the tangents that the image depends on."""
+    """Returns the tangents that the image depends on, and that of `pull`."""
     moving = (splats.means2d, splats.sqrt_conics, splats.opacities, channels)
-    return moving if splats.pull is None else (*moving, splats.pull)
+    more = tuple(leaf for leaf in (splats.slants, splats.pull) if leaf is not None)
+    return moving + more
+
+
+def moved(splats: Splats, moving: tuple[Array, ...]) -> tuple[Splats, Float[Array, "n c"]]:
+    """Returns splats and channels from the numbers that the image depends on: those of `directions`."""
+    means2d, sqrt_conics, opacities, channels, *slants = moving[: arguments_of(splats)]
+    splats = replace(splats, means2d=means2d, sqrt_conics=sqrt_conics, opacities=opacities)
+    return (replace(splats, slants=slants[0]) if slants else splats), channels
+
+
+def arguments_of(splats: Splats) -> int:
+    """Returns the number of arrays that the image depends on: those of `directions`, but for `pull`."""
+    return 4 if splats.slants is None else 5
 
 
 @dataclass(frozen=True)
@@ -113,11 +132,11 @@ class Derivative:
         """Returns the tangents of the image. `pull` does not affect the image."""
         splats, channels = residuals.splats, residuals.channels
 
-        def image(means2d, sqrt_conics, opacities, channels):
-            moved = replace(splats, means2d=means2d, sqrt_conics=sqrt_conics, opacities=opacities)
-            return forward(moved, channels)[0]
+        def image(*moving):
+            return forward(*moved(splats, moving))[0]
 
-        return jax.jvp(image, directions(splats, channels)[:4], tangents[:4])[1]
+        count = arguments_of(splats)
+        return jax.jvp(image, directions(splats, channels)[:count], tangents[:count])[1]
 
     def transpose(self, residuals: Residuals, cotangents: tuple[Array, ...]) -> tuple[Array, ...]:
         """Returns the gradients of what the image depends on, and of `pull`."""
@@ -135,14 +154,14 @@ def table_of(splats: Splats, channels: Float[Array, "n c"], boxes: Boxes) -> Flo
 
     An additional channel of ones yields alpha. An additional last row draws nothing.
     """
-    columns = [
-        splats.means2d,
-        splats.sqrt_conics,
-        splats.opacities[:, None],
-        channels,
-        jnp.ones_like(splats.opacities[:, None]),
-    ]
+    shape = response_of(splats).columns(splats)
+    columns = [*shape, channels, jnp.ones_like(splats.opacities[:, None])]
     return jnp.pad(jnp.concatenate(columns, axis=1)[boxes.order], ((0, 1), (0, 0)))
+
+
+def response_of(splats: Splats) -> Response:
+    """Returns how splats respond at pixels."""
+    return Ellipses() if splats.slants is None else Slanted()
 
 
 def inside(grid: Grid, dtype) -> Float[Array, "tiles p"]:
@@ -174,26 +193,3 @@ def for_each_round(
 
     start = vary_over(varying_axes(boxes, carry), (Cursor.start(), carry))
     return lax.while_loop(lambda walk: walk[0].slab < slabs, step, start)[1]
-
-
-def gradients_of(splats: Splats, moments: Float[Array, "n 6"], pull: Float[Array, "n 2"] | None) -> Splats:
-    """Turns moments of g = alpha dL/d alpha about each mean into gradients of its splat.
-
-    With alpha = o exp(-(s^2 + t^2) / 2), s = u dx + v dy, t = w dy and d = pixel - mean:
-
-        dL/d mean = sum g (s (u, v) + t (0, w)),   dL/d(u, v, w) = -sum g (s dx, s dy, t dy).
-    """
-    g, gx, gy, gxx, gxy, gyy = moments.T
-    u, v, w = splats.sqrt_conics.T
-    along = u * gx + v * gy
-    opacities = splats.opacities
-    return replace(
-        splats,
-        means2d=jnp.stack([u * along, v * along + w * w * gy], axis=1),
-        sqrt_conics=-jnp.stack([u * gxx + v * gxy, u * gxy + v * gyy, w * gyy], axis=1),
-        depths=jnp.zeros_like(splats.depths),
-        extents=jnp.zeros_like(splats.extents),
-        colors=jnp.zeros_like(splats.colors),
-        opacities=jnp.where(opacities > 0, g / jnp.where(opacities > 0, opacities, 1), 0),
-        pull=pull,
-    )

@@ -9,7 +9,8 @@ from jaxtyping import Array, Int
 
 from splatax.backends.portable import blending
 from splatax.backends.portable.binning import Cursor, Grid, Round, bin_round, tile_boxes
-from splatax.backends.portable.composite import for_each_round, inside, table_of
+from splatax.backends.portable.composite import for_each_round, inside, response_of, table_of
+from splatax.backends.portable.responses import Response
 from splatax.backends.portable.tiles import PIXELS, Chunk, to_image, visit
 from splatax.backends.protocol import Selection
 from splatax.splats import Splats
@@ -25,10 +26,12 @@ def select(splats: Splats, count: int) -> Selection:
     boxes = tile_boxes(splats, grid)
     table = table_of(splats, splats.colors[:, :0], boxes)
 
-    def walk(_: Cursor, round: Round, state: State) -> State:
-        return visit(round.lists, table, grid, partial(add_chunk, count=kept), state, None)[0]
-
     kept = max(count, 1)  # arrays without elements cannot be cut into tiles
+    add = partial(add_chunk, response=response_of(splats), count=kept)
+
+    def walk(_: Cursor, round: Round, state: State) -> State:
+        return visit(round.lists, table, grid, add, state, None)[0]
+
     ranked = (grid.tiles, PIXELS, kept)
     state = (
         inside(grid, table.dtype),
@@ -47,10 +50,10 @@ def select(splats: Splats, count: int) -> Selection:
     return Selection(rows(ranks)[..., :count], weights[..., :count], rows(median[..., None])[..., 0])
 
 
-def add_chunk(state: State, shared: None, chunk: Chunk, count: int) -> tuple[State, None]:
+def add_chunk(state: State, shared: None, chunk: Chunk, response: Response, count: int) -> tuple[State, None]:
     """Adds a chunk of splats to the selection of a batch of tiles."""
     transmittance, weights, ranks, median = state
-    alphas = lax.optimization_barrier(blending.clamp(blending.raw_alphas(chunk)))
+    alphas = lax.optimization_barrier(blending.clamp(response.raw_alphas(chunk)))
     before, _ = blending.running(jnp.multiply, 1 - alphas, transmittance)
     own, transmittance = blending.blend_weights(alphas, transmittance)
     own_ranks = jnp.broadcast_to(chunk.ranks[..., None], own.shape)

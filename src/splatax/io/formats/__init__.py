@@ -5,7 +5,7 @@ A format is a module with `load(path)`, `save(path, gaussians, comments=)`, or b
     comments(path)   the lines kept with the scene (required with `load`)
     MAX_SH_DEGREE    the highest SH degree that the format can hold (required with `save`)
     LOSES            one sentence that says which precision saving loses (required with `save`)
-    KEEPS_FILTER     whether the file says if its scene was trained with antialiasing (required with `save`)
+    KEPT_MARKS       the marks of a scene's filter that the file keeps (required with `save`)
     TOLERANCE        the largest error of each number after saving and loading (required with both)
 
     A reader may raise any exception on a damaged file; `load` and `comments` turn it into a `FormatError`.
@@ -13,7 +13,6 @@ A format is a module with `load(path)`, `save(path, gaussians, comments=)`, or b
 """
 
 import warnings
-from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -35,10 +34,9 @@ from splatax.io.formats import (
     splat,
     spz,
 )
-from splatax.io.formats.marks import MARKS, mark
+from splatax.io.formats.marks import MARKS, PLAIN, mark, marked
 from splatax.io.formats.marks import MIP as MIP
 from splatax.io.formats.untrusted import structured
-from splatax.low_pass import Antialiasing
 from splatax.packages import required_by
 
 FORMATS: dict[str, ModuleType] = {
@@ -58,7 +56,8 @@ FORMATS: dict[str, ModuleType] = {
 def load(path: str | Path) -> Gaussians:
     """Reads a splat file. All arrays of the result have the same number of rows.
 
-    A file that says that its scene was trained with antialiasing gives a scene that is drawn so.
+    A file that says that its scene was trained with antialiasing, or is drawn along rays (2DGS), gives a
+    scene that is drawn so.
 
     Raises:
         FormatError: if the file is missing, damaged, of an unknown format, or does not match its suffix.
@@ -66,9 +65,7 @@ def load(path: str | Path) -> Gaussians:
     path = Path(path)
     module = _readable(path)
     with structured(path, path.suffix):
-        gaussians = checked(module.load(path))
-        antialiased = MIP in module.comments(path)
-    return replace(gaussians, low_pass=Antialiasing()) if antialiased else gaussians
+        return marked(checked(module.load(path)), module.comments(path))
 
 
 def comments(path: str | Path) -> tuple[str, ...]:
@@ -115,13 +112,14 @@ def save(path: str | Path, gaussians: Gaussians, *, comments: tuple[str, ...] = 
             options=(f"sh_degree {module.MAX_SH_DEGREE}",),
         )
     written = _written(path, gaussians)
-    lines = (mark(gaussians.low_pass), *(line for line in comments if line not in MARKS))
+    own = mark(gaussians.low_pass)
+    lines = (own, *(line for line in comments if line not in MARKS))
     with required_by(f"writing {path}"):
         module.save(path, written, comments=lines, **options)
-    if isinstance(gaussians.low_pass, Antialiasing) and not module.KEEPS_FILTER:
+    if own != PLAIN and own not in module.KEPT_MARKS:
+        trained = "trained with antialiasing" if own == MIP else "drawn along rays (2DGS)"
         warnings.warn(
-            f"{path}: the file cannot say that its scene was trained with antialiasing. What draws it must "
-            "be told.",
+            f"{path}: the file cannot say that its scene was {trained}. What draws it must be told.",
             stacklevel=2,
         )
     return len(written)

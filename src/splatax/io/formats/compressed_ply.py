@@ -18,6 +18,7 @@ from jaxtyping import Float, UInt8
 from splatax.errors import FormatError
 from splatax.gaussians import Gaussians
 from splatax.io.formats import packing, ply_table
+from splatax.io.formats.marks import MARKS
 from splatax.io.formats.ply_table import PlyTable
 from splatax.io.formats.tolerance import Tolerance
 from splatax.math import harmonics, morton
@@ -34,7 +35,7 @@ LOSES = (
     "Positions, scales and colours are rounded to 8 to 11 bits within each chunk of 256, "
     "higher SH to steps of 1/32 within -4 to 4; the order changes."
 )
-KEEPS_FILTER = True
+KEPT_MARKS = MARKS
 TOLERANCE = Tolerance(means=1e-3, degrees=0.28, log_scales=3e-3, opacities=3e-3, dc=0.02, sh=0.04)
 
 

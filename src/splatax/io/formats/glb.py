@@ -21,6 +21,7 @@ from splatax.gaussians import Gaussians, checked, joined
 from splatax.io.files import write_whole
 from splatax.io.formats import glb_scene, packing
 from splatax.io.formats.glb_scene import EXTENSION, Placed
+from splatax.io.formats.marks import MARKS
 from splatax.io.formats.tolerance import Tolerance
 from splatax.math import harmonics
 from splatax.transforms import half_turn
@@ -37,7 +38,7 @@ PROPERTIES = {  # of the extension, as this engine draws splats
 
 MAX_SH_DEGREE = 3
 LOSES = "Only rounding: opacities and scales are stored as such, not as logits and logarithms."
-KEEPS_FILTER = True
+KEPT_MARKS = MARKS
 TOLERANCE = Tolerance(degrees=1e-3, log_scales=1e-5, opacities=1e-6)
 
 

@@ -2,18 +2,37 @@
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 
-from splatax.low_pass import Antialiasing, LowPass
+from splatax.gaussians import Gaussians
+from splatax.low_pass import AlongRays, Antialiasing, Dilation, LowPass
 
 MIP = "SplatRenderMode: mip"  # trained with antialiasing
 PLAIN = "SplatRenderMode: default"
-MARKS = (MIP, PLAIN)
+DISCS = "SplatRenderMode: 2dgs"  # drawn along rays
+MARKS = (MIP, PLAIN, DISCS)
 METRES = "Metres per unit: "  # before the number
 
 
 def mark(low_pass: LowPass) -> str:
     """Returns the comment that names the filter of a scene."""
-    return MIP if isinstance(low_pass, Antialiasing) else PLAIN
+    match low_pass:
+        case Antialiasing():
+            return MIP
+        case AlongRays():
+            return DISCS
+        case Dilation():
+            return PLAIN
+
+
+def marked(gaussians: Gaussians, comments: Iterable[str]) -> Gaussians:
+    """Returns a scene with the filter that the comments of its file name; as it is if they name none."""
+    for line in comments:
+        if line == MIP:
+            return replace(gaussians, low_pass=Antialiasing())
+        if line == DISCS:
+            return replace(gaussians, low_pass=AlongRays())
+    return gaussians
 
 
 def metres_mark(metres_per_unit: float) -> str:

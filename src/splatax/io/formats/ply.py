@@ -4,6 +4,9 @@
 
 Opacity is a logit, scales are logarithms, rotations are (w, x, y, z). `f_rest` is channel-major:
 all K higher coefficients of red, then of green, then of blue. Normals are zeros. The format is lossless.
+
+Exactly flat Gaussians of a scene that is drawn along rays have a tiny third scale in the file, which programs
+that do not know discs can draw and compress. INRIA's files of discs have no third scale.
 """
 
 from pathlib import Path
@@ -15,7 +18,10 @@ from jaxtyping import Float
 from splatax.errors import FormatError
 from splatax.gaussians import Gaussians
 from splatax.io.formats import compressed_ply, ply_table
+from splatax.io.formats.marks import DISCS, MARKS
+from splatax.io.formats.packing import LEAST_LOG_SCALE
 from splatax.io.formats.tolerance import Tolerance
+from splatax.low_pass import AlongRays, Dilation
 from splatax.math import harmonics
 
 POSITION = ("x", "y", "z")
@@ -26,16 +32,18 @@ OPACITY = ("opacity",)
 SCALE = ("scale_0", "scale_1", "scale_2")
 ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
 
+FLAT = np.float32(LEAST_LOG_SCALE)  # third log scale of exactly flat discs
 MAX_SH_DEGREE = 4
 LOSES = "Nothing: every number is kept, bit by bit."
-KEEPS_FILTER = True
+KEPT_MARKS = MARKS
 TOLERANCE = Tolerance()
 
 
 def load(path: Path) -> Gaussians:
     """Reads columns by name, in any order and precision; other columns are ignored.
 
-    A file without `scale_2` has flat Gaussians (2DGS). A file without `f_dc` has 8-bit red, green and blue.
+    A file without `scale_2` has flat Gaussians that are drawn along rays (2DGS). A file without
+    `f_dc` has 8-bit red, green and blue.
 
     Raises:
         FormatError: if the file is not a PLY file of splats, or is truncated.
@@ -62,30 +70,39 @@ def load(path: Path) -> Gaussians:
     log_scales = columns(SCALE[:2] if flat else SCALE)
     if flat:
         log_scales = np.pad(log_scales, ((0, 0), (0, 1)), constant_values=-np.inf)
+    elif DISCS in table.comments:
+        log_scales[:, 2] = np.where(log_scales[:, 2] == FLAT, -np.inf, log_scales[:, 2])
     return Gaussians(
         means=jnp.asarray(columns(POSITION)),
         quats=jnp.asarray(columns(ROTATION)),
         log_scales=jnp.asarray(log_scales),
         opacity_logits=jnp.asarray(columns(OPACITY)[:, 0]),
         sh=jnp.asarray(np.concatenate([dc[:, None], _higher_bands(path, vertex)], axis=1)),
+        low_pass=AlongRays() if flat else Dilation(),
     )
 
 
 def save(path: Path, gaussians: Gaussians, *, comments: tuple[str, ...] = ()) -> None:
     """Writes Gaussians; see `formats.save`."""
+    log_scales = np.asarray(gaussians.log_scales)
     fields = {
         POSITION: np.asarray(gaussians.means),
         NORMAL: np.zeros((len(gaussians), 3), np.float32),
         DC: np.asarray(gaussians.sh[:, 0]),
         _rest_names(gaussians.sh.shape[1] - 1): _channel_major(np.asarray(gaussians.sh[:, 1:])),
         OPACITY: np.asarray(gaussians.opacity_logits)[:, None],
-        SCALE: np.asarray(gaussians.log_scales),
+        SCALE: _finite(log_scales) if DISCS in comments else log_scales,
         ROTATION: np.asarray(gaussians.quats),
     }
     names = [name for group in fields for name in group]
     values = np.ascontiguousarray(np.concatenate(list(fields.values()), axis=1), "<f4")
     rows = values.view([(name, "<f4") for name in names])[:, 0]
     ply_table.write(path, {"vertex": rows}, (*comments, f"SH degree: {gaussians.sh_degree}"))
+
+
+def _finite(log_scales: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """Returns log scales with a number in place of -inf."""
+    return np.where(np.isneginf(log_scales), FLAT, log_scales)
 
 
 def comments(path: Path) -> tuple[str, ...]:

@@ -25,7 +25,7 @@ from splatax.errors import FormatError
 from splatax.gaussians import Gaussians
 from splatax.io.files import write_whole
 from splatax.io.formats import packing
-from splatax.io.formats.marks import MIP
+from splatax.io.formats.marks import MARKS, MIP
 from splatax.io.formats.tolerance import Tolerance
 from splatax.io.formats.untrusted import check_expansion
 from splatax.math import clusters, harmonics, morton
@@ -43,7 +43,7 @@ LOSES = (
     "Positions are rounded to 16 bits, rotations, opacities, scales and colours to 8; higher SH is taken "
     "from a palette of at most 65,536 entries; the order changes."
 )
-KEEPS_FILTER = True
+KEPT_MARKS = MARKS
 TOLERANCE = Tolerance(means=1e-4, degrees=1.1, log_scales=0.02, opacities=3e-3, dc=0.03, sh=0.05)
 
 

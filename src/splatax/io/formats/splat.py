@@ -24,7 +24,7 @@ LOSES = (
     "All view dependence (SH above degree 0); colours and opacities are rounded to 8 bits and clipped "
     "to 0-1, rotations to 8 bits; the order changes."
 )
-KEEPS_FILTER = False
+KEPT_MARKS: tuple[str, ...] = ()
 TOLERANCE = Tolerance(degrees=1.5, log_scales=1e-5, opacities=3e-3, dc=0.01, sh=None)
 
 

@@ -26,7 +26,7 @@ from splatax.errors import FormatError
 from splatax.gaussians import Gaussians
 from splatax.io.files import write_whole
 from splatax.io.formats import packing
-from splatax.io.formats.marks import MIP
+from splatax.io.formats.marks import MIP, PLAIN
 from splatax.io.formats.tolerance import Tolerance
 from splatax.io.formats.untrusted import Cursor, check_expansion, inflate
 from splatax.math import harmonics
@@ -48,7 +48,7 @@ LOSES = (
     "Positions are rounded to 24 bits, opacities, colours and scales to 8 bits, rotations to 10; higher SH "
     "to 5 bits (degree 1) and 4 bits, clipped to -1 to 1; log scales are clipped to -10 to 5.9."
 )
-KEEPS_FILTER = True
+KEPT_MARKS = (MIP, PLAIN)
 TOLERANCE = Tolerance(means=1.1e-4, degrees=0.28, log_scales=0.032, opacities=3e-3, dc=0.014, sh=0.07)
 
 

@@ -5,7 +5,6 @@ know no skins of splats show it in the bound pose.
 """
 
 import warnings
-from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -16,12 +15,11 @@ from splatax.errors import FormatError
 from splatax.gaussians import broken
 from splatax.io.formats import glb, glb_scene
 from splatax.io.formats.glb_scene import EXTENSION
-from splatax.io.formats.marks import MIP, mark
+from splatax.io.formats.marks import mark, marked
 from splatax.io.formats.untrusted import structured
 from splatax.io.rigs.following import check_following
 from splatax.io.rigs.nodes import read_skeleton
 from splatax.io.rigs.writing import joints_attributes, write_skinned
-from splatax.low_pass import Antialiasing
 from splatax.scene.rigged import RiggedScene
 from splatax.scene.skin import Rig
 from splatax.transforms import Similarity, half_turn
@@ -101,8 +99,7 @@ def load_rigged(path: str | Path) -> RiggedScene:
             raise FormatError(f"{path}: damaged: not every splat has joints and weights. Get the file again.")
         known = binding.joints[number]
         indices = known[check_following(path, joints, weights, len(known))]
-        if MIP in glb.comments(path):
-            gaussians = replace(gaussians, low_pass=Antialiasing())
+        gaussians = marked(gaussians, glb.comments(path))
     sums = np.maximum(weights.sum(axis=1, keepdims=True), 1e-12)
     rig = Rig(skeleton, jnp.asarray(indices, jnp.int32), jnp.asarray(weights / sums, jnp.float32))
     return RiggedScene(half_turn(gaussians, axis=2), rig, clips)

@@ -1,0 +1,260 @@
+#include "slanted.h"
+
+#include <cstring>
+
+#include "reduction.h"
+#include "tiles.h"
+
+namespace splatax {
+namespace {
+
+// The rows of a chunk's splats.
+struct SlantedChunk {
+  alignas(64) SlantedRow rows[CHUNK];
+
+  void gather(const Input& input, const Tile& tile, int first, int count) {
+    for (int i = 0; i < count; ++i) {
+      const size_t row = tile.splats[tile.pairs[first + i].splat].row;
+      std::memcpy(&rows[i], input.channels + row * SLANTED_ROW, sizeof(SlantedRow));
+    }
+  }
+};
+
+// Effect of a splat on a block of pixels, as `Blend` for ellipses.
+struct SlantedBlend {
+  Lanes dx, dy, t, s, ahead, hx, hy;  // (hx, hy) = H d
+  Lanes inverse, q;                   // of the denominator, 1 where the blur is drawn
+  Lanes raw, alpha, weight, after;
+  Mask met, drawn, alive;  // met: false where the blur is drawn
+
+  SPLATAX_INLINE SlantedBlend(const SlantedRow& row, Lanes x, Lanes y, Lanes transmittance, Mask alive_before) {
+    dx = x - broadcast(row.x), dy = y - broadcast(row.y);
+    t = multiply_add(broadcast(row.u), dx, broadcast(row.v) * dy), s = broadcast(row.w) * dy;
+    ahead = multiply_add(broadcast(row.gx), dx, multiply_add(broadcast(row.gy), dy, broadcast(1)));
+    hx = multiply_add(broadcast(row.a), dx, broadcast(row.b) * dy);
+    hy = multiply_add(broadcast(row.b), dx, broadcast(row.c) * dy);
+    const Lanes along = multiply_add(ahead, ahead, multiply_add(dx, hx, dy * hy));
+    const Lanes across = multiply_add(t, t, s * s);
+    const Lanes blur = broadcast(row.blur) * multiply_add(dx, dx, dy * dy);
+    met = (broadcast(0) < ahead) & (across < blur * along);
+    inverse = reciprocal(where(met, along, broadcast(1)));
+    q = where(met, across * inverse, blur);
+    const Lanes exponent = broadcast(row.level) - q;
+    const Mask seen = (broadcast(LOG2_MIN_ALPHA) <= exponent) & alive_before;
+    raw = exp2(max(exponent, broadcast(-100)));
+    alpha = min(raw, broadcast(MAX_ALPHA));
+    const Lanes left = multiply_subtract_from(alpha, transmittance, transmittance);
+    drawn = seen & (broadcast(MIN_TRANSMITTANCE) <= left);
+    alive = and_not(alive_before, and_not(seen, drawn));
+    weight = or_zero(drawn, alpha * transmittance);
+    after = where(drawn, left, transmittance);
+  }
+};
+
+struct SlantedImage {
+  alignas(64) float transmittance[BLOCKS][LANES];  // as in `TileImage`
+  alignas(64) float sums[GROUP][BLOCKS][LANES];
+
+  void clear(const Input& input, const Tile& tile) {
+    std::memset(sums, 0, sizeof sums);
+    let_light_through(input, tile, transmittance);
+  }
+
+  void blend(const Input& input, const Tile& tile) {
+    uint32_t live = live_blocks(transmittance);
+    SlantedChunk rows;
+    each_chunk<0>(tile, live, [&](const Chunk& chunk, const uint64_t* touching, int first) {
+      rows.gather(input, tile, first, chunk.size);
+      for (int b = 0; b < BLOCKS; ++b) {
+        if ((live >> b & 1) && touching[b] && !blend_block(rows, touching[b], b, tile)) live &= ~(1u << b);
+      }
+    });
+  }
+
+ private:
+  // Blends the splats whose bits are set; returns false once all pixels of the block are finished.
+  bool blend_block(const SlantedChunk& chunk, uint64_t touching, int b, const Tile& tile) {
+    const PixelCentres centres;
+    const Lanes x = centres.x + broadcast(tile.left + block_left(b)), y = centres.y + broadcast(tile.top + block_top(b));
+    const Lanes before = load(transmittance[b]);
+    Mask alive = broadcast(0) <= before;
+    Lanes T = max(before, broadcast(0) - before);
+    Lanes sum[GROUP];
+    for (int c = 0; c < GROUP; ++c) sum[c] = load(sums[c][b]);
+    for (; touching; touching &= touching - 1) {
+      const SlantedRow& row = chunk.rows[__builtin_ctzll(touching)];
+      const SlantedBlend step(row, x, y, T, alive);
+      for (int c = 0; c < GROUP; ++c) sum[c] = multiply_add(step.weight, broadcast(row.channels[c]), sum[c]);
+      T = step.after, alive = step.alive;
+      if (!any(alive)) break;
+    }
+    store(transmittance[b], where(alive, T, broadcast(0) - T));
+    for (int c = 0; c < GROUP; ++c) store(sums[c][b], sum[c]);
+    return any(alive);
+  }
+};
+
+// Front to back from the final sums, as `TileGradient`.
+template <bool PULLED>
+struct SlantedGradient {
+  alignas(64) float transmittance[BLOCKS][LANES];
+  alignas(64) float behind[BLOCKS][LANES];
+  alignas(64) float d_sums[GROUP][BLOCKS][LANES];
+  alignas(64) float d_alpha[BLOCKS][LANES];
+
+  void start(const Input& input, const Cotangents& cotangents, const Tile& tile) {
+    std::memset(static_cast<void*>(this), 0, sizeof *this);
+    let_light_through(input, tile, transmittance);
+    each_pixel(input, tile, [&](int b, int lane, size_t pixel) {
+      d_alpha[b][lane] = cotangents.d_alpha[pixel];
+      float all = cotangents.d_alpha[pixel] * cotangents.alpha[pixel];
+      for (int c = 0; c < GROUP; ++c) {
+        d_sums[c][b][lane] = cotangents.d_sums[pixel * GROUP + c];
+        all += cotangents.d_sums[pixel * GROUP + c] * cotangents.sums[pixel * GROUP + c];
+      }
+      behind[b][lane] = all;
+    });
+  }
+
+  // Writes the sums of each pair, and sets its flag, if the splat is drawn at any pixel of the tile.
+  void accumulate(const Input& input, const Tile& tile, float* partials, uint8_t* flags) {
+    uint32_t live = live_blocks(transmittance);
+    SlantedChunk rows;
+    each_chunk<0>(tile, live, [&](const Chunk& chunk, const uint64_t* touching, int first) {
+      rows.gather(input, tile, first, chunk.size);
+      uint16_t blocks[CHUNK] = {};
+      for (int b = 0; b < BLOCKS; ++b) {
+        if (!(live >> b & 1)) continue;
+        for (uint64_t left_over = touching[b]; left_over; left_over &= left_over - 1) {
+          blocks[__builtin_ctzll(left_over)] |= static_cast<uint16_t>(1u << b);
+        }
+      }
+      for (int i = 0; i < chunk.size && live; ++i) {
+        if (!(blocks[i] & live)) continue;
+        const int32_t index = tile.pairs[first + i].index;
+        alignas(64) float sums[2 * LANES];
+        live = accumulate_splat(rows.rows[i], blocks[i] & live, live, tile, sums);
+        std::memcpy(partials + static_cast<size_t>(index) * SLANTED_SUMS, sums, SLANTED_SUMS * sizeof(float));
+        flags[index] = 1;
+      }
+    });
+  }
+
+ private:
+  // Sums over some blocks for one splat; returns the blocks that still have unfinished pixels.
+  uint32_t accumulate_splat(const SlantedRow& row, uint32_t blocks, uint32_t live, const Tile& tile, float* sums) {
+    const PixelCentres centres;
+    Lanes total[SLANTED_SUMS];
+    for (Lanes& sum : total) sum = broadcast(0);
+    for (; blocks; blocks &= blocks - 1) {
+      const int b = __builtin_ctz(blocks);
+      const Lanes before = load(transmittance[b]);
+      const Mask alive = broadcast(0) <= before;
+      const Lanes T = max(before, broadcast(0) - before);
+      const SlantedBlend step(row, centres.x + broadcast(tile.left + block_left(b)),
+                              centres.y + broadcast(tile.top + block_top(b)), T, alive);
+      Lanes value = load(d_alpha[b]);
+      for (int c = 0; c < GROUP; ++c) {
+        const Lanes d = load(d_sums[c][b]);
+        value = multiply_add(broadcast(row.channels[c]), d, value);
+        total[14 + c] = multiply_add(step.weight, d, total[14 + c]);
+      }
+      const Lanes own = step.weight * value, still_behind = load(behind[b]) - own;
+      // A clamped alpha does not depend on the splat.
+      const Mask flexible = step.drawn & (step.raw <= broadcast(MAX_ALPHA));
+      const Lanes odds = step.alpha * reciprocal(broadcast(1) - step.alpha);
+      const Lanes g = or_zero(flexible, multiply_subtract_from(odds, still_behind, own));
+      const Lanes k = or_zero(step.met, g * step.inverse), l = k * step.q, e = where(step.met, broadcast(0), g);
+      const Lanes kx = k * step.dx, ky = k * step.dy, lx = l * step.dx, ly = l * step.dy;
+      const Lanes ex = e * step.dx, ey = e * step.dy;
+      total[0] += g;
+      total[1] += kx, total[2] += ky;
+      total[3] = multiply_add(kx, step.dx, total[3]);
+      total[4] = multiply_add(kx, step.dy, total[4]);
+      total[5] = multiply_add(ky, step.dy, total[5]);
+      total[6] += l, total[7] += lx, total[8] += ly;
+      total[9] = multiply_add(lx, step.dx, total[9]);
+      total[10] = multiply_add(lx, step.dy, total[10]);
+      total[11] = multiply_add(ly, step.dy, total[11]);
+      total[12] += ex, total[13] += ey;
+      if (PULLED) {
+        const Lanes across = multiply_add(broadcast(row.v), step.t, broadcast(row.w) * step.s);
+        const Lanes along_x = multiply_add(step.ahead, broadcast(row.gx), step.hx);
+        const Lanes along_y = multiply_add(step.ahead, broadcast(row.gy), step.hy);
+        const Lanes x = multiply_subtract_from(l, along_x, k * broadcast(row.u) * step.t) + row.blur * ex;
+        const Lanes y = multiply_subtract_from(l, along_y, k * across) + row.blur * ey;
+        total[18] += absolute(x), total[19] += absolute(y);
+      }
+
+      store(transmittance[b], where(step.alive, step.after, broadcast(0) - step.after));
+      store(behind[b], still_behind);  // own is zero where it is not drawn
+      if (!any(step.alive)) live &= ~(1u << b);
+    }
+    add_up<10>(total, sums);
+    alignas(64) float rest[LANES];
+    add_up<10>(total + 10, rest);
+    std::memcpy(sums + 10, rest, 10 * sizeof(float));
+    return live;
+  }
+};
+
+// Adds up the partials of a round's pairs, pair after pair, whichever thread made them.
+void gather(const Binning& binning, const Round& round, const Scratch& scratch, float* sums, Workers& workers) {
+  const float* partials = scratch.partial_sums.get();
+  const uint8_t* flags = scratch.flags.get();
+  workers.ranges(round.end - round.begin, [&](int, int begin, int end) {
+    for (int i = begin; i < end; ++i) {
+      float* own = sums + static_cast<size_t>(binning.splats[round.begin + i].row) * SLANTED_SUMS;
+      for (int32_t index = binning.first_pair[i]; index < binning.first_pair[i + 1]; ++index) {
+        if (!flags[index]) continue;
+        for (int k = 0; k < SLANTED_SUMS; ++k) own[k] += partials[static_cast<size_t>(index) * SLANTED_SUMS + k];
+      }
+    }
+  });
+}
+
+template <bool PULLED>
+void add_gradient(const Input& input, const Cotangents& cotangents, float* sums, Workers& workers, Scratch& scratch) {
+  Binning& binning = scratch.binning;
+  TileStates<SlantedGradient<PULLED>> states(binning, scratch);
+  each_round(binning, workers, [&](const Round& round) {
+    const size_t pairs = binning.pair_count();
+    float* partials = scratch.partial_sums.at_least(pairs * SLANTED_SUMS);
+    uint8_t* flags = scratch.flags.at_least(pairs);
+    std::fill_n(flags, pairs, uint8_t{0});
+    states.each_tile(workers, [&](const Tile& tile, SlantedGradient<PULLED>& state) {
+      if (round.begin == 0) state.start(input, cotangents, tile);
+      state.accumulate(input, tile, partials, flags);
+    });
+    gather(binning, round, scratch, sums, workers);
+  });
+}
+
+}  // namespace
+
+void slanted(const Input& input, const Image& image, Workers& workers, Scratch& scratch, int64_t max_pairs) {
+  Binning& binning = scratch.binning;
+  binning.collect(input, workers, std::max<int64_t>(max_pairs / 2, 1));
+  TileStates<SlantedImage> states(binning, scratch);
+  each_round(binning, workers, [&](const Round& round) {
+    states.each_tile(workers, [&](const Tile& tile, SlantedImage& state) {
+      if (round.begin == 0) state.clear(input, tile);
+      state.blend(input, tile);
+      if (round.end < binning.visible) return;
+      each_pixel(input, tile, [&](int b, int lane, size_t pixel) {
+        for (int c = 0; c < GROUP; ++c) image.sums[pixel * GROUP + c] = state.sums[c][b][lane];
+        const float T = state.transmittance[b][lane];
+        image.alpha[pixel] = 1 - (T < 0 ? -T : T);
+      });
+    });
+  });
+}
+
+void slanted_gradient(const Input& input, const Cotangents& cotangents, bool pulled, float* sums, Workers& workers,
+                      Scratch& scratch, int64_t max_pairs) {
+  std::fill_n(sums, static_cast<size_t>(input.count) * SLANTED_SUMS, 0.0f);
+  scratch.binning.collect(input, workers, std::max<int64_t>(max_pairs / 2, 1));
+  (pulled ? add_gradient<true> : add_gradient<false>)(input, cotangents, sums, workers, scratch);
+}
+
+}  // namespace splatax

@@ -1,0 +1,77 @@
+"""The recipe `2dgs`: discs stay discs, find surfaces, and are saved as such."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.testing import assert_allclose
+
+import splatax as sx
+from scenes import camera_at, plane_of_gaussians
+from splatax.drawn import Seen
+from splatax.stages import project
+from splatax.training import geometry
+from splatax.training.disc_geometry import DiscGeometry
+from splatax.training.geometry import LAYERS
+
+NORMAL = np.array([0.3, -0.5, -1.0]) / np.linalg.norm([0.3, -0.5, -1.0])
+
+
+def penalty(scene, camera, parts, progress=1.0):
+    kernels = sx.backends.resolve("xla")
+    splats = project(scene, camera, low_pass=sx.AlongRays(), backend="xla")
+    seen = Seen(splats, scene, camera)
+    images = geometry.drawn(parts.outputs, geometry.channels(parts.outputs, seen), seen, kernels)
+    return parts(images, camera, None, jnp.asarray(progress))
+
+
+def test_distortion_is_the_sum_over_pairs_of_discs():
+    camera = camera_at((0.0, 0.0, -4.0), size=(9, 7), focal=10.0)
+    facing = plane_of_gaussians(np.array([0.0, 0.0, -1.0]), n=3, half=0.1, sigma=3.0, flat=1e-12, opacity=0.6)
+    scene = replace(facing, means=facing.means.at[:, 2].set(jnp.array([0.0, 1.0, 3.0])))
+    outputs = {"layers": LAYERS}
+    splats = project(scene, camera, low_pass=sx.AlongRays(), backend="xla")
+    seen = Seen(splats, scene, camera)
+    drawn = geometry.drawn(outputs, geometry.channels(outputs, seen), seen, sx.backends.resolve("xla"))
+    at = sx.render(
+        scene, camera, low_pass=sx.AlongRays(), outputs=("contributors",), backend="xla"
+    ).contributors
+    weights = np.zeros((7, 9, 3))
+    np.put_along_axis(weights, np.asarray(at.indices[..., :3]), np.asarray(at.weights[..., :3]), axis=2)
+    near = 1 / np.array([4.0, 5.0, 7.0])  # inverse depths
+    expected = sum(
+        weights[..., i] * weights[..., j] * (near[i] - near[j]) ** 2 for i in range(3) for j in range(i)
+    )
+    assert_allclose(drawn["layers"].scatter, expected, rtol=1e-4, atol=1e-7)
+
+
+def test_a_plane_of_discs_has_no_penalty_and_a_cloud_has_one():
+    camera = camera_at((0.4, -0.3, -4.0), size=(24, 18), focal=30.0)
+    plane = plane_of_gaussians(NORMAL, n=300, sigma=0.2, flat=1e-12)
+    rng = np.random.default_rng(0)
+    cloud = replace(plane, means=plane.means + jnp.asarray(rng.normal(size=(300, 3)) * 0.3, jnp.float32))
+    parts = DiscGeometry()
+    assert penalty(plane, camera, parts) < 0.05 * penalty(cloud, camera, parts)
+    assert penalty(cloud, camera, parts, progress=0.05) == 0
+
+
+def test_trained_discs_are_flat_and_drawn_along_rays_from_their_file(tmp_path):
+    dataset = sx.demo_dataset()
+    small = dataset.train[:6]
+    recipe = sx.recipes.discs(steps=60, max_gaussians=3_200)
+    scene = sx.fit(replace(dataset, train=small), replace(recipe, sh=replace(recipe.sh, degree=0)))
+    assert len(scene) > 3_000
+    assert np.isneginf(scene.log_scales[:, 2]).all()
+    assert np.isfinite(scene.log_scales[:, :2]).all()
+    sx.save(tmp_path / "scene.ply", scene)
+    loaded = sx.load(tmp_path / "scene.ply")
+    assert loaded.low_pass == sx.AlongRays()
+    camera = dataset.test[0].camera.resized(60, 40)
+    assert_allclose(*(np.asarray(sx.render(s, camera).rgb) for s in (scene, loaded)), atol=1e-6)
+    first = sx.render(sx.recipes.discs().initialization(dataset, 0, 0), camera, low_pass=sx.AlongRays()).rgb
+    photo = jax.image.resize(jnp.asarray(dataset.test[0].pixels()[..., :3]) / 255, (40, 60, 3), "linear")
+    before, after = (
+        float(jnp.mean(jnp.abs(image - photo))) for image in (first, sx.render(loaded, camera).rgb)
+    )
+    assert after < 0.7 * before

@@ -61,7 +61,7 @@ class Ewa:
         self, camera: Camera, mean: Float[Array, "3"], point: Float[Array, "3"], spread: Float[Array, "3 3"]
     ) -> Footprint:
         """Returns the image of the Gaussian under the tangent of the camera at its mean."""
-        size = jnp.array([camera.width, camera.height], point.dtype)
+        size = camera.size
         margin = FRUSTUM_MARGIN * 0.5 * size
         low = -(camera.center + margin) / camera.focal
         high = (size - camera.center + margin) / camera.focal

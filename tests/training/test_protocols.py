@@ -152,6 +152,8 @@ class Grey:
 
 @dataclass(frozen=True)
 class HalfSizeAtEvenSteps:
+    divisors = (1, 2)
+
     def divisor(self, step, size):
         return 2 - step % 2
 

@@ -92,7 +92,8 @@ def project(
     gaussians: Gaussians, camera: Camera, low_pass: LowPass, method: Method = EWA, *, kernel: Kernel
 ) -> Splats:
     """Projects all Gaussians to one view. Differentiable in the Gaussians and the camera."""
-    if not (isinstance(camera.lens, Pinhole) and camera.motion is None and method == EWA):
+    still = camera.motion is None and camera.frame is None  # the kernels know no canvases
+    if not (isinstance(camera.lens, Pinhole) and still and method == EWA):
         return projection.project(gaussians, camera, low_pass, method)
     arrays = tuple(getattr(gaussians, field) for field in FIELDS)
     settings = Settings(kernel, camera.width, camera.height, low_pass)

@@ -117,6 +117,7 @@ class Changing:
 
     now: int
     asked: set = field(default_factory=set)
+    divisors = (1, 2)
 
     def divisor(self, step, size):
         self.asked.add(step)

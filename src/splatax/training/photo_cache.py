@@ -50,13 +50,14 @@ class PhotoCache:
         Raises:
             DatasetError: if the photo or its mask is not of the camera's size.
         """
-        camera, photo, mask = self._tight(index, divisor)
-        canvas = self._canvas(index, divisor)
+        frame, canvas = self._tight(index, divisor), self._canvas(index, divisor)
         if canvas is None:
-            return camera, photo, mask
+            return frame
+        camera, photo, mask = frame
         if self._masked and mask is None:
             mask = np.ones(photo.shape[:2], bool)
-        return camera.on_canvas(*canvas), _padded(with_alpha(photo), canvas), _padded(mask, canvas)
+        counted = None if mask is None else _padded(mask, canvas)
+        return camera.on_canvas(*canvas), _padded(with_alpha(photo), canvas), counted
 
     def camera(self, index: int, divisor: int) -> Camera:
         """Returns the camera of `frame`, without decoding the photo."""
@@ -101,10 +102,8 @@ def with_alpha(photo: Pixels) -> Pixels:
     return np.dstack([photo, np.full_like(photo[..., 0], 255)])
 
 
-def _padded(picture: np.ndarray | None, canvas: Size) -> np.ndarray | None:
+def _padded(picture: np.ndarray, canvas: Size) -> np.ndarray:
     """Returns a picture at the top left of a canvas of zeros."""
-    if picture is None:
-        return None
     width, height = canvas
     padded = np.zeros((height, width, *picture.shape[2:]), picture.dtype)
     padded[: picture.shape[0], : picture.shape[1]] = picture

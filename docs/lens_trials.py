@@ -1,27 +1,35 @@
-"""Trains drawn captures through a rolling shutter and through panoramas: the figures of lenses.md.
+"""Trains captures through their lenses: the figures and pictures of lenses.md.
 
-python docs/lens_trials.py FOLDER        writes pictures to FOLDER and prints the scores
+    python docs/lens_trials.py FOLDER [TRIAL ...]        prints the scores and writes pictures to FOLDER
+
+The trials are shutter, panorama and distortion, on captures that are drawn here, and fern, which needs the
+capture fern_radial in the folder that the variable SPLATAX_DATA names. Without a name, the drawn ones run.
 """
 
+import os
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
+from PIL import Image
 
 import splatax as sx
 from splatax.cameras import Camera, RollingShutter, panorama
+from splatax.cameras.lenses import opencv
 from splatax.dataset import Dataset, View
 from splatax.demo.dataset import demo_dataset
 from splatax.demo.raycast import photograph
 from splatax.demo.scenes import scene_named
-from splatax.io import images
-from splatax.training.camera_refinement import Poses, Shutter, Together
+from splatax.training.camera_refinement import CAMERA_REFINEMENTS, Poses, Shutter, Together, refined
+from splatax.training.loop import optimize
 from splatax.training.recipes import default
 
 STEPS, GAUSSIANS = 800, 6000
+K1, K2 = -0.2, 0.05
 
 
 def drawn(view: View, camera: Camera, scene: str) -> View:
@@ -38,12 +46,16 @@ def trained(dataset: Dataset, **parts) -> sx.Gaussians:
     return sx.fit(dataset, replace(default(STEPS, GAUSSIANS), **parts))
 
 
-def side_by_side(path: Path, *pictures: np.ndarray) -> None:
-    """Writes pictures of values in [0, 1] or of 8 bits beside each other."""
-    levels = [
-        p if p.dtype == np.uint8 else np.round(255 * np.clip(p, 0, 1)).astype(np.uint8) for p in pictures
-    ]
-    images.write(path, np.concatenate(levels, axis=1))
+def write(path: Path, *rows: tuple[np.ndarray, ...]) -> None:
+    """Writes rows of pictures of values in [0, 1] or of 8 bits."""
+
+    def levels(picture: np.ndarray) -> np.ndarray:
+        if picture.dtype == np.uint8:
+            return picture
+        return np.round(255 * np.clip(picture, 0, 1)).astype(np.uint8)
+
+    picture = np.concatenate([np.concatenate([levels(p) for p in row], axis=1) for row in rows])
+    Image.fromarray(picture).save(path, quality=90)
 
 
 def shutter(out: Path) -> None:
@@ -59,11 +71,11 @@ def shutter(out: Path) -> None:
     runs = {
         "motion ignored": (ignored, {}),
         "motion learned": (ignored, {"camera_refinement": Shutter(reach=0.1)}),
+        "motion given": (true, {}),
         "motion and poses learned": (
             ignored,
             {"camera_refinement": Together((Shutter(reach=0.1), Poses()))},
         ),
-        "motion given": (true, {}),
         "no motion in the photos": (still, {}),
     }
     view = still.test[1]
@@ -72,9 +84,9 @@ def shutter(out: Path) -> None:
         scene = trained(dataset, **parts)
         score = sx.evaluate(scene, still.test)
         print(f"{name:26} {score.psnr:6.2f} dB {score.ssim:.3f}", flush=True)
-        if name in ("motion ignored", "motion learned", "motion given"):
+        if len(shown) < 4:
             shown.append(np.asarray(sx.render(scene, view.camera).rgb))
-    side_by_side(out / "shutter.png", *shown)
+            write(out / "shutter.jpg", tuple(shown))
 
 
 def around(out: Path) -> None:
@@ -93,11 +105,52 @@ def around(out: Path) -> None:
             flush=True,
         )
     view = whole.test[0]
-    side_by_side(out / "panorama.png", view.pixels(), np.asarray(sx.render(scene, view.camera).rgb))
+    write(out / "panorama.jpg", (view.pixels(),), (np.asarray(sx.render(scene, view.camera).rgb),))
 
+
+def distortion(out: Path) -> None:
+    """Photos of a lens whose k1 and k2 are set to zero in the capture, and learned."""
+    still = demo_dataset(width=192, height=144)
+    lens = opencv(K1, K2)
+
+    def bent(view: View) -> View:
+        camera = replace(view.camera, lens=lens, fx=0.7 * view.camera.fx, fy=0.7 * view.camera.fy)
+        return drawn(view, camera, "still-life")
+
+    true = replace(still, train=tuple(map(bent, still.train)), test=tuple(map(bent, still.test)))
+    zeroed = tuple(replace(v, camera=replace(v.camera, lens=opencv())) for v in true.train)
+    recipe = replace(default(STEPS, GAUSSIANS), camera_refinement=CAMERA_REFINEMENTS["lens"])
+    for progress in optimize(replace(true, train=zeroed), recipe):
+        pass
+    state = progress.state.train
+    first, *_ = refined(recipe.camera_refinement, state.cameras, zeroed[:1], state.extent)
+    k1, k2 = map(float, first.camera.lens.radials[:2])
+    ratio = float(first.camera.fx / true.train[0].camera.fx)
+    print(f"distortion: k1 {k1:.4f} of {K1}, k2 {k2:.4f} of {K2}, focal length {ratio:.4f}", flush=True)
+
+
+def fern(out: Path) -> None:
+    """Fern through its lens, and undistorted; both scored on the same held-out photos as they are."""
+    folder = Path(os.environ["SPLATAX_DATA"]) / "fern_radial"
+    through, straight = (sx.load_dataset(folder, undistort=undistort) for undistort in (False, True))
+    shown = [through.test[0].pixels()]
+    for name, dataset in (("through the lens", through), ("undistorted", straight)):
+        scene = sx.fit(dataset, default(500, 20_000))
+        score = sx.evaluate(scene, through.test)
+        print(f"fern_radial, {name:17} {score.psnr:6.2f} dB {score.ssim:.3f}", flush=True)
+        shown.append(np.asarray(sx.render(scene, through.test[0].camera).rgb))
+    write(out / "fern_radial.jpg", tuple(shown))
+
+
+TRIALS: dict[str, Callable[[Path], None]] = {
+    "shutter": shutter,
+    "panorama": around,
+    "distortion": distortion,
+    "fern": fern,
+}
 
 if __name__ == "__main__":
     folder = Path(sys.argv[1])
     folder.mkdir(parents=True, exist_ok=True)
-    shutter(folder)
-    around(folder)
+    for name in sys.argv[2:] or ("shutter", "panorama", "distortion"):
+        TRIALS[name](folder)

@@ -6,7 +6,6 @@ With a path, also trains, and writes the picture and the gradients that it has c
 import json
 import sys
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -65,7 +64,7 @@ with tempfile.TemporaryDirectory() as folder:  # a capture with one photo, to be
 
 if sys.argv[1:]:
     dataset = sx.demo_dataset(photos=3, width=32, height=24)
-    recipe = replace(sx.recipes.default(steps=2, max_gaussians=3000), backend=backend)
+    recipe = sx.recipes.default(steps=2, max_gaussians=3000).on(backend)
     trained = sx.fit(dataset, recipe)
     assert len(trained) > 0
     np.savez(sys.argv[1], rgb, *jax.tree.leaves(gradient))

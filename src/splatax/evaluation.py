@@ -10,6 +10,7 @@ from jaxtyping import Bool, UInt8
 from splatax import metrics
 from splatax.ahead import cores, in_order
 from splatax.cameras import Camera
+from splatax.cameras.canvases import Size, canvases_for
 from splatax.dataset import Mask, View, mask_of
 from splatax.errors import DatasetError, InputError
 from splatax.gaussians import Gaussians
@@ -25,6 +26,7 @@ PROTOCOL = {  # how scores are computed, in words
 }
 
 
+MOST_SIZES = 4  # of renderings, each of which compiles a program; see `cameras.canvases`
 THREADS = 4  # that score views, at most; each holds about 20 bytes for a pixel of its view
 
 
@@ -113,15 +115,19 @@ def compared(
     Photos are read and scored in threads. Memory holds the pictures of a few views at a time.
     """
     drawing = Lock()  # one view at a time, which leaves the device's memory to it
+    views = tuple(views)
+    canvases = canvases_for([view.camera for view in views], MOST_SIZES)
 
-    def comparison(view: View) -> Compared:
+    def comparison(numbered: tuple[View, Size | None]) -> Compared:
+        view, canvas = numbered
         photo = photo_of(view, renderer.behind(view.camera))
+        camera = view.camera if canvas is None else view.camera.on_canvas(*canvas)
         with drawing:
-            image = picture(gaussians, view.camera, renderer)
+            image = picture(gaussians, camera, renderer)[: view.camera.height, : view.camera.width]
         mask = mask_of(view)
         return score(view.name, image, photo, mask, lpips), photo, image, mask
 
-    return in_order(comparison, views, min(cores(), THREADS))
+    return in_order(comparison, zip(views, canvases, strict=True), min(cores(), THREADS))
 
 
 def score(

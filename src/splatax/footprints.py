@@ -106,7 +106,7 @@ class Unscented:
 
 def visible_plane(camera: Camera) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
     """Returns the left top and right bottom corners, on the image plane, of the image and its margin."""
-    size = jnp.array([camera.width, camera.height], camera.fx.dtype)
+    size = camera.size
     margin = FRUSTUM_MARGIN * 0.5 * size
     low = -(camera.center + margin) / camera.focal
     return low, (size - camera.center + margin) / camera.focal

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from splatax.shapes import check_arrays
 
@@ -65,6 +65,55 @@ class Photometric:
         image, photo = (jnp.where(mask[..., None], picture, 0) for picture in (image, photo))
         coverage = jnp.mean(mask, dtype=image.dtype)
         return kernel(image, photo, self.ssim_weight) / jnp.maximum(coverage, 1 / mask.size)
+
+
+def photometric_on_canvas(
+    image: Float[Array, "h w c"],
+    photo: Float[Array, "h w c"],
+    ssim_weight: float,
+    *,
+    frame: Float[Array, "2"],
+    kernel: Callable[..., Float[Array, ""]] = photometric,
+) -> Float[Array, ""]:
+    """Computes the sum of the loss over the pixels of a frame, divided by the number of pixels of the canvas.
+
+    It is `photometric` of the two pictures cut to the frame, times the fraction of the canvas that the frame
+    fills. Kernels see the whole canvas. Beyond the frame the pictures are equal, but windows there reach over
+    its border: their dissimilarity is computed once more and subtracted. Differentiable only with respect to
+    `image`.
+
+    Args:
+        image: rendering, zero beyond the frame.
+        photo: photo, zero beyond the frame.
+        ssim_weight: as in `photometric`.
+        frame: width and height, pixels, from the top left corner of the canvas.
+        kernel: implementation of `photometric`.
+    """
+    height, width, _ = image.shape
+    right, bottom = jnp.round(frame).astype(jnp.int32)
+    near = jnp.arange(
+        -(WINDOW // 2), WINDOW // 2, dtype=jnp.int32
+    )  # from the border, as far as windows reach
+    columns, rows = right + near, bottom + near
+    within = jnp.arange(width, dtype=jnp.int32) < right
+    beside = jnp.where(
+        ((near >= 0) & (columns < width))[None, None], _dissimilarity(image, photo, columns, 1), 0
+    )
+    below = jnp.where(
+        ((near >= 0) & (rows < height))[None, :, None] & within[None, None],
+        _dissimilarity(image, photo, rows, 0),
+        0,
+    )
+    beyond = (jnp.sum(beside) + jnp.sum(below)) / image.size
+    return kernel(image, photo, ssim_weight) - ssim_weight * beyond
+
+
+def _dissimilarity(
+    image: Float[Array, "h w c"], photo: Float[Array, "h w c"], places: Int[Array, " k"], axis: int
+) -> Float[Array, "c _ _"]:
+    """Returns 1 - SSIM in a strip of some rows or columns; places beyond the pictures are zero."""
+    strips = (jnp.take(picture, places, axis=axis, mode="fill", fill_value=0) for picture in (image, photo))
+    return 1 - _similarity(_moments(*strips))
 
 
 @jax.custom_jvp

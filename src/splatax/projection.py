@@ -135,7 +135,7 @@ def period_of(camera: Camera) -> Float[Array, ""] | None:
 
 def overlaps_image(mean2d: Float[Array, "2"], extent: Float[Array, "2"], camera: Camera) -> Bool[Array, ""]:
     """Returns whether the box of a splat overlaps the image, at its place or a period beside it."""
-    size = jnp.array([camera.width, camera.height], mean2d.dtype)
+    size = camera.size
     period = period_of(camera)
     places = [mean2d]
     if period is not None:

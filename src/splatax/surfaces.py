@@ -139,7 +139,7 @@ def positions_of(camera: Camera, depth: Float[Array, "h w"]) -> Float[Array, "h 
     def one(pixel, depth):
         here = camera
         if camera.motion is not None:
-            here = camera.at(camera.motion.time(pixel, camera.width, camera.height))
+            here = camera.at(camera.motion.time(pixel, *camera.size))
         return here.rotation.T @ (here.to_point(pixel, depth) - here.translation)
 
     return jax.vmap(jax.vmap(one))(pixel_centers(camera.width, camera.height, depth.dtype), depth)

@@ -122,14 +122,34 @@ def test_gauss_newton_products_equal_the_reference(backend):
     assert_same(jax.jit(product, static_argnums=0)(backend), product("reference"), 1e-3)
 
 
+def forward_over_reverse(loss, point, direction):
+    """Product of the Hessian with a direction."""
+    return jax.jvp(jax.grad(loss), (point,), (direction,))[1]
+
+
+def reverse_over_forward(loss, point, direction):
+    """The same product: the gradient of the slope along a direction."""
+    return jax.grad(lambda point: jax.jvp(loss, (point,), (direction,))[1])(point)
+
+
 @pytest.mark.slow
-def test_hessian_vector_products_equal_the_reference(backend):
+@pytest.mark.parametrize("product", [forward_over_reverse, reverse_over_forward])
+def test_hessian_vector_products_equal_the_reference(backend, product):
     direction = like(POINT)
+    found = jax.jit(lambda point: product(loss_of(backend), point, direction))(POINT)
+    assert_same(found, forward_over_reverse(loss_of("reference"), POINT, direction), 2e-3)
 
-    def product(backend):
-        return jax.jvp(jax.grad(loss_of(backend)), (POINT,), (direction,))[1]
 
-    assert_same(jax.jit(product, static_argnums=0)(backend), product("reference"), 2e-3)
+@pytest.mark.slow
+def test_the_gradient_of_a_jvp_of_a_batch_is_that_of_its_elements(backend):
+    direction = like(GAUSSIANS)
+
+    def slope(gaussians, camera):
+        return jax.jvp(lambda g: loss_of(backend)((g, camera)), (gaussians,), (direction,))[1]
+
+    total = jax.grad(lambda g: jnp.sum(jax.vmap(slope, (None, 0))(g, STACKED)))(GAUSSIANS)
+    each = [jax.grad(slope)(GAUSSIANS, camera) for camera in CAMERAS]
+    assert_same(total, jax.tree.map(lambda *leaves: sum(leaves), *each), 2e-3)
 
 
 def test_the_gradient_of_a_scene_that_cameras_share_is_the_sum_of_theirs(backend):

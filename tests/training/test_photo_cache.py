@@ -58,7 +58,7 @@ def test_photos_of_a_size_that_is_wanted_no_more_make_room():
 def test_batches_are_the_same_with_and_without_room(resolution):
     views = capture().train
     with_room = islice(batches(views, 3, 0, resolution), 12)
-    without = islice(batches(views, 3, 0, resolution, room=0), 12)
+    without = islice(batches(views, 3, 0, resolution, PhotoCache(views, 0)), 12)
     for one, other in zip(with_room, without, strict=True):
         for first, second in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
             np.testing.assert_array_equal(first, second)
@@ -94,7 +94,8 @@ def test_slow_photos_come_in_their_order():
 
     views = capture().train
     plain = islice(batches(views, 3), 12)
-    late = islice(batches([slow(*each) for each in enumerate(views)], 3, room=0), 12)
+    late_views = [slow(*each) for each in enumerate(views)]
+    late = islice(batches(late_views, 3, photos=PhotoCache(late_views, 0)), 12)
     for one, other in zip(plain, late, strict=True):
         assert one.source.view == other.source.view
         np.testing.assert_array_equal(one.photo, other.photo)
@@ -116,6 +117,7 @@ class Changing:
 
     now: int
     asked: set = field(default_factory=set)
+    divisors = (1, 2)
 
     def divisor(self, step, size):
         self.asked.add(step)

@@ -13,7 +13,7 @@ import splatax as sx
 from splatax.training import protocols
 from splatax.training.optimizer import LearningRates, Optimizer
 from splatax.training.protocols import DensityUpdate, Lineage
-from splatax.training.recipes import Objective, ShSchedule
+from splatax.training.recipes import Drawing, Objective, ShSchedule
 from training.test_training import capture, run
 
 
@@ -152,6 +152,8 @@ class Grey:
 
 @dataclass(frozen=True)
 class HalfSizeAtEvenSteps:
+    divisors = (1, 2)
+
     def divisor(self, step, size):
         return 2 - step % 2
 
@@ -186,12 +188,16 @@ def with_part(recipe, name, part):
         return replace(recipe, objective=replace(recipe.objective, **{name: part}))
     if name in ("rule", "reach", "noise"):
         return replace(recipe, optimizer=replace(recipe.optimizer, **{name: part}))
+    if name == "background":
+        return replace(recipe, drawing=replace(recipe.drawing, background=part))
     return replace(recipe, **{name: part})
 
 
 def test_every_part_of_a_recipe_that_has_a_protocol_is_written_here():
     written = {protocol.__name__ for protocol, _ in PARTS.values()}
-    named = {str(field.type) for record in (sx.Recipe, Objective, Optimizer) for field in fields(record)}
+    named = {
+        str(field.type) for record in (sx.Recipe, Objective, Optimizer, Drawing) for field in fields(record)
+    }
     declared = {name for name, value in vars(protocols).items() if getattr(value, "_is_protocol", False)}
     in_recipes = {name for name in declared if any(name in text for text in named)}
     assert in_recipes == written

@@ -12,10 +12,11 @@ modes with
         out, residuals = ...
         return out, linear_call(map, residuals, tangents, out)
 
-It is one JAX primitive, so `jit`, `vmap`, `scan`, `checkpoint`, `shard_map`, `linearize` and `jvp` of a
-gradient work as for the functions of JAX.
+It is one JAX primitive, so `jit`, `vmap`, `scan`, `checkpoint`, `shard_map`, `linearize`, `jvp` of a
+gradient and the gradient of a `jvp` work as for the functions of JAX.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
@@ -49,6 +50,36 @@ class LinearMap(Protocol):
             tangents: the dimensions of the tangents.
         """
         ...
+
+
+@runtime_checkable
+class Curved(LinearMap, Protocol):
+    """A linear map that JAX cannot transpose in its residuals, as where `apply` has `while` loops."""
+
+    def curvature(self, residuals: Any, tangents: tuple[Array, ...], cotangents: tuple[Array, ...]) -> Any:
+        """Returns the gradient of <cotangents, apply(residuals, tangents)> with respect to the residuals.
+
+        It has the structure of the residuals; leaves of integers may be anything.
+        """
+        ...
+
+
+def curvature(
+    linear_map: LinearMap, residuals: Any, tangents: tuple[Array, ...], cotangents: tuple[Array, ...]
+) -> Any:
+    """Returns the gradient of <cotangents, apply(residuals, tangents)> with respect to the residuals."""
+    if isinstance(linear_map, Curved):
+        return linear_map.curvature(residuals, tangents, cotangents)
+    leaves, structure = jax.tree.flatten(residuals)
+    moving = [i for i, leaf in enumerate(leaves) if _moves(leaf)]
+
+    def image(values: list[Array]) -> tuple[Array, ...]:
+        return tuple(
+            linear_map.apply(jax.tree.unflatten(structure, _replaced(leaves, moving, values)), tangents)
+        )
+
+    found = jax.vjp(image, [leaves[i] for i in moving])[1](tuple(cotangents))[0]
+    return jax.tree.unflatten(structure, _replaced(leaves, moving, found))
 
 
 def linear_call(
@@ -105,6 +136,70 @@ class Batched:
     def batched(self, size: int, residuals: Dims, tangents: Dims) -> None:
         """Returns None: a batch of batches is one more `jax.vmap`."""
 
+    def curvature(self, residuals: Any, tangents: tuple[Array, ...], cotangents: tuple[Array, ...]) -> Any:
+        """Returns that of the inner map for each element, summed over the batch where it shares residuals."""
+
+        def one(
+            leaves: list[Array], tangents: tuple[Array, ...], cotangents: tuple[Array, ...]
+        ) -> list[Array]:
+            own = jax.tree.unflatten(self.structure, leaves)
+            return jax.tree.leaves(curvature(self.inner, own, tangents, cotangents))
+
+        leaves, structure = jax.tree.flatten(residuals)
+        dims = (list(self.residuals), self.tangents, 0)
+        each = jax.vmap(one, dims)(leaves, tuple(tangents), tuple(cotangents))
+        summed = [
+            jnp.sum(array, axis=0) if dim is None else array
+            for array, dim in zip(each, self.residuals, strict=True)
+        ]
+        return jax.tree.unflatten(structure, summed)
+
+
+@dataclass(frozen=True)
+class Moving:
+    """The change of what a linear map returns, at fixed tangents, when its residuals move. It is linear too.
+
+    Attributes:
+        inner: the map.
+        structure: of its residuals.
+        moving: which leaves of the residuals move.
+    """
+
+    inner: LinearMap
+    structure: Any
+    moving: tuple[int, ...]
+
+    def apply(self, residuals: Any, tangents: tuple[Array, ...]) -> tuple[Array, ...]:
+        """Returns the change; the residuals are the leaves of those of the inner map, and its tangents."""
+        leaves, own = residuals
+
+        def image(*values: Array) -> tuple[Array, ...]:
+            moved = _replaced(leaves, self.moving, values)
+            return tuple(self.inner.apply(jax.tree.unflatten(self.structure, moved), own))
+
+        return jax.jvp(image, [leaves[i] for i in self.moving], list(tangents))[1]
+
+    def transpose(self, residuals: Any, cotangents: tuple[Array, ...]) -> tuple[Array, ...]:
+        """Returns the gradients in the leaves that move."""
+        leaves, own = residuals
+        found = curvature(self.inner, jax.tree.unflatten(self.structure, leaves), own, cotangents)
+        gradients = jax.tree.leaves(found)
+        return tuple(gradients[i] for i in self.moving)
+
+    def batched(self, size: int, residuals: Dims, tangents: Dims) -> None:
+        """Returns None: the map of a batch is made by `jax.vmap`."""
+
+
+def _moves(leaf: Array) -> bool:
+    return jnp.issubdtype(leaf.dtype, jnp.floating)
+
+
+def _replaced(leaves: Sequence[Array], places: Sequence[int], values: Sequence[Array]) -> list[Array]:
+    found = list(leaves)
+    for place, value in zip(places, values, strict=True):
+        found[place] = value
+    return found
+
 
 def _split(arrays: Any, structure: Any) -> tuple[Any, tuple[Any, ...]]:
     """Returns residuals and tangents."""
@@ -120,18 +215,18 @@ def _jvp(primals: Any, tangents: Any, *, linear_map: LinearMap, structure: Any, 
     parameters = {"linear_map": linear_map, "structure": structure, "types": types}
     out = linear_p.bind(*primals, **parameters)
     count = structure.num_leaves
-    if all(isinstance(tangent, ad.Zero) for tangent in tangents[:count]):
+    moving = tuple(i for i in range(count) if not isinstance(tangents[i], ad.Zero) and _moves(primals[i]))
+    if not moving:
         directions = map(ad.instantiate_zeros, tangents[count:])
         return out, linear_p.bind(*primals[:count], *directions, **parameters)
-    moving = [i for i, tangent in enumerate(tangents) if not isinstance(tangent, ad.Zero)]
-
-    def of_moving(*values: Array) -> list[Array]:
-        arrays = list(primals)
-        for i, value in zip(moving, values, strict=True):
-            arrays[i] = value
-        return _apply(*arrays, **parameters)
-
-    return jax.jvp(of_moving, [primals[i] for i in moving], [tangents[i] for i in moving])
+    point = (tuple(primals[:count]), tuple(primals[count:]))
+    turned = Moving(linear_map, structure, moving)
+    change = linear_call(turned, point, tuple(tangents[i] for i in moving), out)
+    if all(isinstance(tangent, ad.Zero) for tangent in tangents[count:]):
+        return out, list(change)
+    directions = map(ad.instantiate_zeros, tangents[count:])
+    along = linear_p.bind(*primals[:count], *directions, **parameters)
+    return out, [a + b for a, b in zip(along, change, strict=True)]
 
 
 def _transpose(

@@ -159,7 +159,8 @@ def project(
         kernels: the foreign projections, by kind of lens.
     """
     kernel = kernels.get(type(camera.lens))
-    if kernel is None or camera.motion is not None or method != EWA:
+    still = camera.motion is None and camera.frame is None  # the kernels know no canvases
+    if kernel is None or not still or method != EWA:
         return projection.project(gaussians, camera, low_pass, method)
     arrays = tuple(getattr(gaussians, field) for field in FIELDS)
     leaves, lens = jax.tree.flatten(camera.lens)

@@ -22,7 +22,8 @@ class Camera:
     Camera axes are x right, y down, z forward. Pixel coordinates have the image's top left corner
     at (0, 0), so the first pixel's centre is (0.5, 0.5). The lens maps a point in camera axes to the image
     plane at focal length one; pixel = (fx, fy) * place + (cx, cy). All fields except the size are traced:
-    views of one size and kind of lens share one compiled program, and every number can have a gradient.
+    views of one size and kind of lens share one compiled program, and every number can have a gradient. Views
+    of different sizes share one program on a canvas, see `on_canvas`.
 
     Attributes:
         fx, fy: focal lengths, pixels.
@@ -31,6 +32,8 @@ class Camera:
         width, height: image size, pixels (static).
         lens: kind of lens and its coefficients; see `cameras.lenses`.
         motion: None if the whole image is exposed at once.
+        frame: width and height of the part of the image, from its top left corner, that the view fills,
+            pixels; None if it fills all of it. What lies beyond is not defined.
     """
 
     fx: Float[Array, ""]
@@ -42,6 +45,7 @@ class Camera:
     height: int = field(metadata={"static": True})
     lens: Lens = Pinhole()
     motion: RollingShutter | None = None
+    frame: Float[Array, "2"] | None = None
 
     @classmethod
     def simple_pinhole(
@@ -76,6 +80,13 @@ class Camera:
     def center(self) -> Float[Array, "2"]:
         """Principal point (cx, cy), pixels."""
         return jnp.stack([self.cx, self.cy])
+
+    @property
+    def size(self) -> Float[Array, "2"]:
+        """Width and height of what the view fills of the image, pixels."""
+        if self.frame is None:
+            return jnp.array([self.width, self.height], self.fx.dtype)
+        return self.frame
 
     def to_camera(self, point: Float[Array, "3"]) -> Float[Array, "3"]:
         """Returns a world point in camera axes, at the moment when its row of the image is exposed.
@@ -113,7 +124,7 @@ class Camera:
 
         def seen(camera, point, time):
             pixel = camera.to_pixel(camera.at(time).to_camera(point))
-            return camera.motion.time(pixel, camera.width, camera.height)
+            return camera.motion.time(pixel, *camera.size)
 
         fixed = jax.lax.stop_gradient((self, point))
         zero = jnp.zeros((), point.dtype)
@@ -126,6 +137,7 @@ class Camera:
     def resized(self, width: int, height: int) -> "Camera":
         """Returns the camera with the same view and another image size."""
         sx, sy = width / self.width, height / self.height
+        frame = None if self.frame is None else self.frame * jnp.array([sx, sy], self.frame.dtype)
         return replace(
             self,
             fx=self.fx * sx,
@@ -134,7 +146,30 @@ class Camera:
             cy=self.cy * sy,
             width=width,
             height=height,
+            frame=frame,
         )
+
+    def on_canvas(self, width: int, height: int) -> "Camera":
+        """Returns the camera with a larger image, whose top left part is the view; see `frame`.
+
+        What the view shows does not change. Its own size becomes a traced number, so that views of many sizes
+        on one canvas share compiled programs.
+
+        Args:
+            width, height: size of the canvas, pixels.
+
+        Raises:
+            ValueError: if the view does not fit, or the image repeats sideways, as that of a panorama does.
+        """
+        if width < self.width or height < self.height:
+            raise ValueError(
+                f"a view of {self.width} x {self.height} pixels does not fit on {width} x {height}."
+            )
+        if self.lens.PERIOD is not None:
+            raise ValueError(
+                f"the image of the lens {type(self.lens).__name__} repeats, so it needs no canvas"
+            )
+        return replace(self, width=width, height=height, frame=self.size)
 
 
 def look_at(
@@ -165,6 +200,8 @@ def checked(camera: Camera) -> Camera:
             f"Camera: its lens is {type(camera.lens).__name__}, which is not a lens. Choose one of "
             "splatax.cameras.lenses."
         )
+    if camera.frame is not None:
+        arrays["frame"] = (camera.frame, "2")
     for part in ("lens", "motion"):
         arrays |= _arrays_of(part, getattr(camera, part))
     check_arrays("Camera", arrays)

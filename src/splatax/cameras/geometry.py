@@ -65,7 +65,7 @@ def ray(camera: Camera, pixel: Float[Array, "2"]) -> tuple[Float[Array, "3"], Fl
     """
     here = camera
     if camera.motion is not None:
-        here = camera.at(camera.motion.time(pixel, camera.width, camera.height))
+        here = camera.at(camera.motion.time(pixel, *camera.size))
     near, far = (here.to_point(pixel, jnp.asarray(depth, pixel.dtype)) for depth in (0.0, 1.0))
     direction = here.rotation.T @ (far - near)
     return here.position + here.rotation.T @ near, direction / jnp.linalg.norm(direction)

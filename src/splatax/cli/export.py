@@ -162,7 +162,8 @@ class Export:
         if self._streamed:
             options["coarser"] = coarser
         self.out.parent.mkdir(parents=True, exist_ok=True)
-        count = sx.save(self.out, edited, comments=sensors.kept_metres(model.path, self.scale), **options)
+        comments = sensors.kept_metres(model.path, self.scale)
+        count = sx.save(self.out, edited, comments=comments, **options)
         before, after = model.path.stat().st_size, formats.size_of(self.out)
         share = f"{before / after:.1f} x smaller" if after <= before else f"{after / before:.1f} x larger"
         say(f"{self.out}: {count:,} Gaussians, {after / 1e6:.2f} MB ({share})")

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -95,18 +95,19 @@ def _merged(gaussians: Gaussians, first: Int[np.ndarray, " p"], second: Int[np.n
     scales = np.sqrt(np.maximum(variances, 1e-24))
     area = scales[:, 1] * scales[:, 2]
     opacities = np.clip((weights[first] + weights[second]) / np.maximum(area, 1e-30), 1e-4, 0.9999)
-    merged = {
-        "means": middle,
-        "quats": Rotation.from_matrix(axes).as_quat(scalar_first=True),
-        "log_scales": np.log(scales),
-        "opacity_logits": np.log(opacities) - np.log1p(-opacities),
-        "sh": mean(np.asarray(gaussians.sh, np.float64)),
-    }
     kept = np.ones(len(means), bool)
     kept[second] = False
-    changed = {}
-    for name, values in merged.items():
-        column = np.array(getattr(gaussians, name))
-        column[first] = values
-        changed[name] = jnp.asarray(column[kept])
-    return replace(gaussians, **changed)
+
+    def replaced(column: Float[Array, "n ..."], values: Float[np.ndarray, "p ..."]) -> Float[Array, "m ..."]:
+        rows = np.array(column)
+        rows[first] = values
+        return jnp.asarray(rows[kept])
+
+    return replace(
+        gaussians,
+        means=replaced(gaussians.means, middle),
+        quats=replaced(gaussians.quats, Rotation.from_matrix(axes).as_quat(scalar_first=True)),
+        log_scales=replaced(gaussians.log_scales, np.log(scales)),
+        opacity_logits=replaced(gaussians.opacity_logits, np.log(opacities) - np.log1p(-opacities)),
+        sh=replaced(gaussians.sh, mean(np.asarray(gaussians.sh, np.float64))),
+    )

@@ -30,8 +30,8 @@ class Batch:
     """One training view, on the device.
 
     Attributes:
-        camera: of the size of the photo.
-        photo: 8-bit RGB or RGBA.
+        camera: of the size of the photo, or on its canvas.
+        photo: 8-bit RGB or RGBA; zero beyond the camera's frame, if it has one.
         mask: true where a pixel counts; None if all do.
         source: indices of the view and of its lens.
         divisor: factor by which the photo was downscaled (static).
@@ -51,7 +51,7 @@ def batches(
     seed: int,
     start: int = 0,
     resolution: ResolutionSchedule = Resolution(),
-    room: int | float = math.inf,
+    photos: PhotoCache | None = None,
     landmarks: bool = False,
 ) -> Iterator[Batch]:
     """Yields all views in random order, then again in another order, without end.
@@ -65,10 +65,10 @@ def batches(
         start: number of batches to skip; the batches that follow do not depend on it.
         resolution: size of the photos at each step; the first batch is for step 1. It may change between
             batches: a photo that was read ahead at another size is read again.
-        room: bytes of memory for decoded photos.
+        photos: decodes the photos of the views; None for a cache with room for all of them.
         landmarks: whether batches have those of their views, if any view has some.
     """
-    cache = PhotoCache(views, room)
+    cache = photos or PhotoCache(views, math.inf)
     origin = sources(views)
     known = landmarks_of(views) if landmarks else None
     indices = islice(order(len(views), seed, start // len(views)), start % len(views), None)

@@ -9,11 +9,12 @@ from itertools import count, islice
 import jax
 import numpy as np
 
+from splatax.cameras import Camera
 from splatax.dataset import Pixels, View
 from splatax.training.comparison import Views
 from splatax.training.devices import Dealt
 from splatax.training.feed import landmarks_of, order, sources
-from splatax.training.photo_cache import Frame, PhotoCache
+from splatax.training.photo_cache import Frame, PhotoCache, with_alpha
 from splatax.training.protocols import ResolutionSchedule, Source
 from splatax.training.recipes import Recipe
 
@@ -24,7 +25,7 @@ def steps_of(
     start: int,
     resolution: ResolutionSchedule,
     dealt: Dealt,
-    room: int | float = math.inf,
+    photos: PhotoCache | None = None,
 ) -> Iterator[Views]:
     """Yields the views of each step, without end; the next ones are read while the caller trains.
 
@@ -37,9 +38,9 @@ def steps_of(
         resolution: size of the photos at each step. It may change between steps: views that were read ahead
             at another size are read again.
         dealt: the devices.
-        room: bytes of memory for decoded photos.
+        photos: decodes the photos of the views; None for a cache with room for all of them.
     """
-    cache, origin = PhotoCache(views, room), sources(views)
+    cache, origin = photos or PhotoCache(views, math.inf), sources(views)
     known = landmarks_of(views) if recipe.objective.geometry.outputs else None
     size = recipe.views
     here = dealt.drawn_here(size)
@@ -50,12 +51,15 @@ def steps_of(
 
     def read(group: list[int], divisor: int) -> Views:
         frames = [cache.frame(group[place], divisor) for place in here]
-        sent = _sent([views[index] for index in group], [origin[i] for i in group], frames, divisor, dealt)
+        cameras = [cache.camera(index, divisor) for index in group]
+        sent = _sent(cameras, [origin[i] for i in group], frames, divisor, dealt)
         if known is None:
             return sent
         return replace(sent, landmarks=dealt.views(known[[group[place] for place in here]], size))
 
-    groups = islice(grouped([kind_of(view) for view in views], size, recipe.seed), start, None)
+    groups = islice(
+        grouped([cache.kind(index) for index in range(len(views))], size, recipe.seed), start, None
+    )
     with ThreadPoolExecutor(1) as reader:
 
         def ahead_of(step: int) -> tuple[list[int], int, Future[Views]]:
@@ -86,17 +90,10 @@ def grouped(kinds: Sequence[Hashable], size: int, seed: int) -> Iterator[list[in
             yield waiting.pop(kinds[index])
 
 
-def kind_of(view: View) -> Hashable:
-    """Returns what the views of a step have in common: size, lens model, and whether there is a mask."""
-    camera = view.camera
-    return camera.width, camera.height, jax.tree.structure(camera), view.mask is None
-
-
-def _sent(views: list[View], sources: list[Source], frames: list[Frame], divisor: int, dealt: Dealt) -> Views:
+def _sent(
+    cameras: list[Camera], sources: list[Source], frames: list[Frame], divisor: int, dealt: Dealt
+) -> Views:
     """Sends the views of a step to the devices."""
-    first = views[0].camera
-    size = first.width // divisor, first.height // divisor
-    cameras = [view.camera if divisor == 1 else view.camera.resized(*size) for view in views]
     camera, source = (
         jax.tree.map(
             lambda *leaves: dealt.everywhere(np.stack([np.asarray(leaf) for leaf in leaves])), *trees
@@ -106,8 +103,8 @@ def _sent(views: list[View], sources: list[Source], frames: list[Frame], divisor
     masks = [mask for _, _, mask in frames if mask is not None]
     return Views(
         camera,
-        dealt.views(np.stack(_alike([photo for _, photo, _ in frames])), len(views)),
-        dealt.views(np.stack(masks), len(views)) if masks else None,
+        dealt.views(np.stack(_alike([photo for _, photo, _ in frames])), len(cameras)),
+        dealt.views(np.stack(masks), len(cameras)) if masks else None,
         source,
         divisor=divisor,
     )
@@ -120,7 +117,4 @@ def _alike(photos: list[Pixels]) -> list[Pixels]:
     """
     if len({photo.shape[2] for photo in photos}) == 1 and jax.process_count() == 1:
         return photos
-    return [
-        photo if photo.shape[2] == 4 else np.dstack([photo, np.full_like(photo[..., 0], 255)])
-        for photo in photos
-    ]
+    return [with_alpha(photo) for photo in photos]

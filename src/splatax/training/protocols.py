@@ -252,6 +252,11 @@ class Background(Hashable, Protocol):
 class ResolutionSchedule(Hashable, Protocol):
     """Chooses the size of the photos during training."""
 
+    @property
+    def divisors(self) -> tuple[int, ...]:
+        """All factors that `divisor` may return."""
+        ...
+
     def divisor(self, step: int, size: tuple[int, int]) -> int:
         """Returns the factor by which photos of this size are downscaled at this step, counted from 1.
 

@@ -64,7 +64,7 @@ class Objective:
 
 @dataclass(frozen=True)
 class Drawing:
-    """How the steps draw the scene that they compare with photos."""
+    """The way in which steps draw the scene that they compare with photos."""
 
     background: Background = Solid()
     low_pass: LowPass = Dilation()

@@ -23,6 +23,11 @@ class Resolution:
     stages: tuple[tuple[int, int], ...] = ()
     smallest: int = 1
 
+    @property
+    def divisors(self) -> tuple[int, ...]:
+        """All factors by which photos are downscaled during a run."""
+        return tuple(sorted({1, *(divisor for _, divisor in self.stages)}))
+
     def divisor(self, step: int, size: tuple[int, int]) -> int:
         """Returns the factor by which photos of this size are downscaled at this step, counted from 1.
 

@@ -30,6 +30,11 @@ class Schedule:
         stands_for = range(self.place(step), self.place(step - 1), -1)
         return next((place for place in stands_for if density.due(place)), 0)
 
+    @property
+    def divisors(self) -> tuple[int, ...]:
+        """All factors by which photos are downscaled during a run."""
+        return self.resolution.divisors
+
     def divisor(self, step: int, size: tuple[int, int]) -> int:
         """Returns the factor by which photos of a size are downscaled at a step of the run."""
         return self.resolution.divisor(self.place(step), size)

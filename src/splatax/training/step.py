@@ -11,9 +11,11 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt8
 
 from splatax import backends
+from splatax.backends.protocol import Photometric
 from splatax.cameras import Camera
 from splatax.drawn import Seen, unrolled
 from splatax.gaussians import Gaussians
+from splatax.losses import photometric_on_canvas
 from splatax.low_pass import LowPass
 from splatax.outputs import over
 from splatax.splats import Splats
@@ -99,7 +101,7 @@ def _train_step(
     gaussians = recipe.optimizer.noise(gaussians, rates.means[:, 0], state.extent, noise_key)
     total = state.total.astype(jnp.float32)
     learned = (
-        recipe.density.observe(state.density_state, splats, d.splats),
+        recipe.density.observe(state.density_state, *filling(splats, d.splats, batch.camera.frame)),
         recipe.appearance.update(state.appearance, batch.source, d.appearance, progress, total),
         recipe.camera_refinement.update(state.cameras, batch.source, d.camera, progress, total),
     )
@@ -124,6 +126,30 @@ def advanced(state: TrainState, learned: tuple[Any, Any, Any], good: Bool[Array,
         cameras=cameras,
         faults=state.faults._replace(steps=state.faults.steps + ~good),
     )
+
+
+def filling(splats: Splats, d_splats: Splats, frame: Float[Array, "2"] | None) -> tuple[Splats, Splats]:
+    """Returns the splats of a view on a canvas, and their gradients, as if the view filled the canvas.
+
+    Density control then finds the sizes and the gradients, as fractions of the image, that the view has by
+    itself. Extents are scaled by the longer sides of view and canvas.
+
+    Args:
+        splats: the 2D Gaussians of the view.
+        d_splats: gradient of the loss with respect to them.
+        frame: of the camera; None if the view fills its image.
+    """
+    if frame is None:
+        return splats, d_splats
+    canvas = jnp.array([splats.width, splats.height], frame.dtype)
+    scale = (canvas / frame)[None]
+    larger = replace(
+        splats,
+        means2d=splats.means2d * scale,
+        extents=splats.extents * (jnp.max(canvas) / jnp.max(frame)),
+    )
+    pull = None if d_splats.pull is None else d_splats.pull / scale
+    return larger, replace(d_splats, means2d=d_splats.means2d / scale, pull=pull)
 
 
 def filtered(low_pass: LowPass, divisor: int) -> LowPass:
@@ -198,13 +224,32 @@ def image_loss(view: Shown, appearance: Any, target: Target, recipe: Recipe) -> 
     sums, alpha = composite(view.splats, view.splats.colors, backend=kernels)
     image = over(recipe.appearance(appearance, sums, alpha), alpha, target.background)
     photo = photo_over(target.photo, target.background)
-    loss = objective.loss(image, photo, target.mask, kernels.photometric)
+    loss = objective.loss(image, photo, *counted(target, kernels.photometric))
     if not view.channels:
         return loss
     # Drawn apart, so that `pull` tells what the photo misses, and kernels need not know it of so many.
     seen = unrolled(Seen(replace(view.splats, pull=None), None, target.camera))
     images = geometry.drawn(objective.geometry.outputs, view.channels, seen, kernels)
     return loss + objective.geometry(images, target.camera, target.landmarks, target.progress)
+
+
+def counted(target: Target, kernel: Photometric) -> tuple[Bool[Array, "h w"] | None, Photometric]:
+    """Returns the mask of what counts in the loss, and the kernel of the loss for it.
+
+    On a canvas, only the frame counts, and windows end at its border.
+    """
+    frame = target.camera.frame
+    if frame is None:
+        return target.mask, kernel
+    height, width = target.photo.shape[:2]
+    columns, rows = (
+        jnp.arange(side, dtype=frame.dtype) + 0.5 < end
+        for side, end in zip((width, height), frame, strict=True)
+    )
+    mask = rows[:, None] & columns[None]
+    if target.mask is not None:
+        mask &= target.mask
+    return mask, partial(photometric_on_canvas, frame=frame, kernel=kernel)
 
 
 def photo_over(photo: UInt8[Array, "h w c"], background: Float[Array, "3"]) -> Float[Array, "h w 3"]:

@@ -1,22 +1,27 @@
 """Makers of steps: on one view by one device, or on several views by several devices."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from splatax.cameras.canvases import Size, canvases_for
 from splatax.dataset import View
 from splatax.training.comparison import Views
 from splatax.training.devices import Dealt, devices_for
 from splatax.training.feed import Batch, batches
 from splatax.training.groups import steps_of
+from splatax.training.photo_cache import PhotoCache
+from splatax.training.protocols import ResolutionSchedule
 from splatax.training.recipes import Recipe
 from splatax.training.schedule import Schedule
 from splatax.training.step import TrainState, train_step
 from splatax.training.views import step_on_views
+
+MOST_PROGRAMS = 4  # of training steps for a scene of one size; one takes seconds to compile
 
 
 @runtime_checkable
@@ -57,7 +62,9 @@ class OneView:
         self, views: Sequence[View], recipe: Recipe, done: int, schedule: Schedule, room: int | float
     ) -> Iterator[Batch]:
         """Yields one view after the other."""
-        return batches(views, recipe.seed, done, schedule, room, bool(recipe.objective.geometry.outputs))
+        photos = PhotoCache(views, room, canvases_of(views, recipe, schedule))
+        geometry = bool(recipe.objective.geometry.outputs)
+        return batches(views, recipe.seed, done, schedule, photos, geometry)
 
     def step(self, state: TrainState, seen: Batch, recipe: Recipe) -> tuple[TrainState, Float[Array, ""]]:
         """Makes a step on one view."""
@@ -86,12 +93,29 @@ class SeveralViews:
         self, views: Sequence[View], recipe: Recipe, done: int, schedule: Schedule, room: int | float
     ) -> Iterator[Views]:
         """Yields the views of one step after the other."""
-        return steps_of(views, recipe, done, schedule, self.dealt, room)
+        photos = PhotoCache(views, room, canvases_of(views, recipe, schedule))
+        return steps_of(views, recipe, done, schedule, self.dealt, photos)
 
     def step(self, state: TrainState, seen: Views, recipe: Recipe) -> tuple[TrainState, Float[Array, ""]]:
         """Makes a step on several views."""
         openings = jnp.asarray(recipe.sh.openings(recipe.steps))
         return step_on_views(state, seen, recipe.optimizer.rates, openings, recipe, self.dealt.mesh)
+
+
+def canvases_of(
+    views: Sequence[View], recipe: Recipe, resolution: ResolutionSchedule
+) -> list[Size | None] | None:
+    """Returns the canvas of each photo, so that a scene of one size compiles at most `MOST_PROGRAMS` steps.
+
+    Each combination of an image size, a factor of downscaling and a kind of lens is a program. A capture
+    whose photos need no more has no canvases. Penalties of geometry are means over the whole image, so a
+    recipe with some has none either: each size is a program.
+    """
+    if recipe.objective.geometry.outputs:
+        return None
+    kinds = {jax.tree.structure(replace(view.camera, width=1, height=1)) for view in views}
+    most = max(1, MOST_PROGRAMS // (len(kinds) * len(resolution.divisors)))
+    return canvases_for([view.camera for view in views], most)
 
 
 def stepper_for(recipe: Recipe, devices: Sequence[jax.Device] | None) -> Stepper:

@@ -33,7 +33,7 @@ from splatax.training.devices import (
 from splatax.training.optimizer import LearningRates
 from splatax.training.protocols import Source
 from splatax.training.recipes import Recipe
-from splatax.training.step import TrainState, advanced
+from splatax.training.step import TrainState, advanced, filling
 
 
 @partial(jax.jit, static_argnames=("recipe", "mesh"), donate_argnames="state")
@@ -87,7 +87,10 @@ def _on_each(
     depths = jnp.moveaxis(splats.depths, 0, 1)
     gaussians, opt_state = _moved(state, gradients, depths, Move(rates, good, noise_key), recipe)
 
-    density_state = _observed(state.density_state, splats, d.splats, recipe)
+    in_view = jax.vmap(filling)(
+        replace(splats, period=None), replace(d.splats, period=None), views.camera.frame
+    )
+    density_state = _observed(state.density_state, *in_view, recipe)
     learned = (density_state, *_photos_updated(state, views.source, d, recipe))
     moved = replace(state, gaussians=gaussians, opt_state=opt_state)
     return advanced(moved, learned, good), jnp.mean(losses)
@@ -138,7 +141,6 @@ def _moved(
 
 def _observed(density_state: Any, splats: Splats, d_splats: Splats, recipe: Recipe) -> Any:
     """Shows density control one view after the other."""
-    splats, d_splats = replace(splats, period=None), replace(d_splats, period=None)
 
     def observe(density_state, view):
         return by_block(lambda _, *rows: recipe.density.observe(*rows), density_state, *view), None

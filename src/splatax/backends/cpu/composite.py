@@ -12,7 +12,7 @@ from splatax.backends import portable
 from splatax.backends.cpu import slanted
 from splatax.backends.cpu.library import Build
 from splatax.backends.linear import Dims, linear_call
-from splatax.backends.portable.composite import DERIVATIVE, directions, forward
+from splatax.backends.portable.composite import DERIVATIVE, curvature_of_blend, directions, forward
 from splatax.backends.protocol import Selection
 from splatax.backends.splat_kernels import gradient_shapes, gradients_of, inputs_of, second_derivative
 from splatax.splats import Splats
@@ -89,6 +89,12 @@ class Derivative:
 
     def batched(self, size: int, residuals: Dims, tangents: Dims) -> None:
         """Returns None: native calls take batches."""
+
+    def curvature(self, residuals, tangents: tuple[Array, ...], cotangents: tuple[Array, ...]):
+        """Returns the gradient in the splats and channels, by the portable kernel."""
+        splats, channels, *rest = residuals
+        found = curvature_of_blend(splats, channels, tangents, cotangents)
+        return (*found, *jax.tree.map(jnp.zeros_like, rest))
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(2, 3))

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from splatax import along_rays
 from splatax.backends.cpu.library import Build
 from splatax.backends.linear import Dims, linear_call
-from splatax.backends.portable.composite import DERIVATIVE, directions, forward
+from splatax.backends.portable.composite import DERIVATIVE, curvature_of_blend, directions, forward
 from splatax.backends.portable.slanted import Slanted
 from splatax.backends.splat_kernels import second_derivative
 from splatax.splats import MIN_ALPHA, Splats, slants_of
@@ -88,6 +88,12 @@ class Derivative:
 
     def batched(self, size: int, residuals: Dims, tangents: Dims) -> None:
         """Returns None: `jax.vmap` calls the derivative once for each element."""
+
+    def curvature(self, residuals, tangents: tuple[Array, ...], cotangents: tuple[Array, ...]):
+        """Returns the gradient in the splats and channels, by the portable kernel."""
+        splats, channels, *rest = residuals
+        found = curvature_of_blend(splats, channels, tangents, cotangents)
+        return (*found, *jax.tree.map(jnp.zeros_like, rest))
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(2, 3))

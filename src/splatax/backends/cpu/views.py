@@ -45,7 +45,8 @@ class NativeDrawing:
 
     def fits(self, camera: Camera, method: Method) -> bool:
         """Returns whether it draws what such a camera sees."""
-        return isinstance(camera.lens, Pinhole) and camera.motion is None and method == EWA
+        still = camera.motion is None and camera.frame is None
+        return isinstance(camera.lens, Pinhole) and still and method == EWA
 
     def __call__(self, gaussians: Gaussians, camera: Camera, low_pass: LowPass, depths: bool) -> Images:
         """Returns the sums of weighted colours, and of depths if they are asked for, and alpha."""

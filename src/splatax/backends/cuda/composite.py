@@ -12,7 +12,7 @@ from splatax.backends import portable
 from splatax.backends.cuda.library import Library
 from splatax.backends.foreign import Shape
 from splatax.backends.linear import Dims, linear_call
-from splatax.backends.portable.composite import DERIVATIVE, directions, forward
+from splatax.backends.portable.composite import DERIVATIVE, curvature_of_blend, directions, forward
 from splatax.backends.splat_kernels import gradient_shapes, gradients_of, inputs_of, second_derivative
 from splatax.splats import Splats
 
@@ -103,6 +103,12 @@ class Derivative:
 
     def batched(self, size: int, residuals: Dims, tangents: Dims) -> None:
         """Returns None: `jax.vmap` calls the derivative once for each element."""
+
+    def curvature(self, residuals, tangents: tuple[Array, ...], cotangents: tuple[Array, ...]):
+        """Returns the gradient in the splats and channels, by the portable kernel."""
+        splats, channels, *rest = residuals
+        found = curvature_of_blend(splats, channels, tangents, cotangents)
+        return (*found, *jax.tree.map(jnp.zeros_like, rest))
 
 
 def _draw(

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
@@ -46,6 +47,27 @@ def composite(
 ) -> tuple[Float[Array, "h w c"], Float[Array, "h w"]]:
     """Blends `channels` of the splats, nearest first, into every pixel; see `splatax.composite`."""
     return forward(splats, channels)[0]
+
+
+@jax.custom_jvp
+def drawn(splats: Splats, channels: Float[Array, "n c"]):
+    """Returns what `forward` returns. It can be differentiated again, in both modes."""
+    return forward(splats, channels)
+
+
+@drawn.defjvp
+def _(primals, tangents):
+    image, residuals = drawn(*primals)
+    moved = linear_call(DERIVATIVE, residuals, directions(*tangents), image)
+    still = jax.tree.map(_no_tangent, residuals)
+    sums = jnp.concatenate([moved[0], moved[1][..., None]], axis=-1)
+    return (image, residuals), (moved, still._replace(splats=tangents[0], channels=tangents[1], sums=sums))
+
+
+def _no_tangent(leaf: Array) -> Array | np.ndarray:
+    if jnp.issubdtype(leaf.dtype, jnp.floating):
+        return jnp.zeros_like(leaf)
+    return np.zeros(leaf.shape, jax.dtypes.float0)
 
 
 def forward(splats: Splats, channels: Float[Array, "n c"]):
@@ -101,7 +123,7 @@ def backward(residuals: Residuals, cotangents) -> tuple[Splats, Float[Array, "n 
 
 @composite.defjvp
 def _(primals, tangents):
-    image, residuals = forward(*primals)
+    image, residuals = drawn(*primals)
     return image, linear_call(DERIVATIVE, residuals, directions(*tangents), image)
 
 
@@ -145,8 +167,34 @@ class Derivative:
     def batched(self, size: int, residuals: Dims, tangents: Dims) -> None:
         """Returns None: the map of a batch is made by `jax.vmap`."""
 
+    def curvature(
+        self, residuals: Residuals, tangents: tuple[Array, ...], cotangents: tuple[Array, ...]
+    ) -> Residuals:
+        """Returns the gradient in the splats and channels; see `curvature_of_blend`."""
+        d_splats, d_channels = curvature_of_blend(residuals.splats, residuals.channels, tangents, cotangents)
+        nothing = jax.tree.map(jnp.zeros_like, residuals)
+        return nothing._replace(splats=d_splats, channels=d_channels)
+
 
 DERIVATIVE = Derivative()
+
+
+def curvature_of_blend(
+    splats: Splats, channels: Float[Array, "n c"], tangents: tuple[Array, ...], cotangents: tuple[Array, ...]
+) -> tuple[Splats, Float[Array, "n c"]]:
+    """Returns the gradient of the sum of cotangents times the image's tangents.
+
+    Second derivatives are symmetric: it is the tangent of the gradient that `cotangents` have, when splats
+    and channels move along `tangents`. So the loops over tiles need not be transposed.
+    """
+
+    def gradient(*point: Array) -> tuple[Array, ...]:
+        d_splats, d_channels = backward(forward(*moved(replace(splats, pull=None), point))[1], cotangents)
+        return directions(d_splats, d_channels)[:count]
+
+    count = arguments_of(splats)
+    changes = jax.jvp(gradient, directions(splats, channels)[:count], tuple(tangents[:count]))[1]
+    return moved(jax.tree.map(jnp.zeros_like, splats), changes)
 
 
 def table_of(splats: Splats, channels: Float[Array, "n c"], boxes: Boxes) -> Float[Array, "rows t"]:

@@ -36,7 +36,7 @@ DEEPEST = 64  # nodes above a leaf
 OURS = re.compile(r"\d+_\d+-[0-9a-f]{8}/meta\.json")
 SIGMAS = 3.0  # standard deviations inside a box
 
-MAX_SH_DEGREE, KEEPS_FILTER, TOLERANCE = sog.MAX_SH_DEGREE, sog.KEEPS_FILTER, sog.TOLERANCE
+MAX_SH_DEGREE, KEPT_MARKS, TOLERANCE = sog.MAX_SH_DEGREE, sog.KEPT_MARKS, sog.TOLERANCE
 LOSES = sog.LOSES
 
 
@@ -117,7 +117,8 @@ def save(
     levels = (gaussians, *coarser)
     if not all(map(len, levels)):
         raise FormatError(f"{path}: each level of detail needs at least one Gaussian.")
-    cells = Cells(*zip(*map(_boxes, levels), strict=True), [[[]] for _ in levels])
+    means, reaches = zip(*map(_boxes, levels), strict=True)
+    cells = Cells(means, reaches, [[[]] for _ in levels])
     tree = cells.node([np.arange(len(level)) for level in levels])
     old = _units_of(path)
     with _written(path.parent) as write:

@@ -56,7 +56,8 @@ def dense(rig, n):
 
 def test_the_scene_is_drawn_with_the_filter_that_it_was_trained_with():
     dataset, poses, pose_of = capture(views=1)
-    recipe = replace(recipe_for(1, 400), low_pass=sx.Antialiasing())
+    recipe = recipe_for(1, 400)
+    recipe = replace(recipe, drawing=replace(recipe.drawing, low_pass=sx.Antialiasing()))
     (last,) = optimize_rig(dataset, recipe, covering(BODY, 150), poses, pose_of)
     assert last.gaussians.low_pass == sx.Antialiasing()
 

@@ -22,7 +22,7 @@ def test_a_zip_of_blenders_photos_is_trained_scored_and_drawn_over_white(blender
     scene = zipped(blender, tmp_path / "blender.zip")
     config, metrics = train(scene, tmp_path / "run")
     assert config["options"]["background"] == "white"
-    assert config["recipe"]["background"]["rgb"] == [1.0, 1.0, 1.0]
+    assert config["recipe"]["drawing"]["background"]["rgb"] == [1.0, 1.0, 1.0]
     cli.main(["eval", str(tmp_path / "run"), str(scene), "--out", str(tmp_path / "scores.json")])
     scores = json.loads((tmp_path / "scores.json").read_text())
     assert scores["psnr"] == metrics["test"]["psnr"]

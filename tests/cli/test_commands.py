@@ -51,7 +51,7 @@ def test_config_holds_all_that_repeats_a_run(trained, capture):
     config = read_json(trained / "config.json")
     assert config["options"]["scene"] == str(capture)
     assert config["options"]["seed"] == 0
-    assert config["recipe"]["backend"] == backends.resolve("auto").name
+    assert config["recipe"]["drawing"]["backend"] == backends.resolve("auto").name
     assert set(config["versions"]) >= {"splatax", "jax", "jaxlib", "numpy", "python"}
 
 

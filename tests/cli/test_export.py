@@ -39,7 +39,7 @@ def test_each_format_is_written_with_its_size_and_losses(model, tmp_path, suffix
     export(model, out)
     said = capsys.readouterr().out
     assert "50 Gaussians" in said
-    assert ("x smaller" if out.stat().st_size <= model.stat().st_size else "x larger") in said
+    assert ("x smaller" if formats.size_of(out) <= model.stat().st_size else "x larger") in said
     assert formats.FORMATS[suffix].LOSES in said
     if hasattr(formats.FORMATS[suffix], "load"):
         assert len(sx.load(out)) == 50

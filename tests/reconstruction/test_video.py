@@ -49,7 +49,9 @@ def test_a_short_video_gives_all_its_frames(tmp_path):
 
 def test_frames_are_photos_to_reconstruct_from(tmp_path):
     (tmp_path / "work").mkdir()
-    photos, damaged = gather(write_video(tmp_path / "walk.mp4"), tmp_path / "work", 5, lambda *far: None)
+    photos, damaged = gather(
+        write_video(tmp_path / "walk.mp4"), tmp_path / "work", 5, "auto", lambda *far: None
+    )
     assert len(photos) == 5
     assert not damaged
     assert len({photo.device for photo in photos}) == 1  # one camera

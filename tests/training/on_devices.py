@@ -85,7 +85,8 @@ def exchanged(number: int) -> int:
     start = pad(made.initialization(dataset, 1, 0), ROWS)
     state = stepper.placed(first_state(start, made, 1.0, len(dataset.train)))
     views = next(stepper.feed(dataset.train, made, 0, Schedule(STEPS, STEPS, made.resolution), math.inf))
-    arguments = state, views, made.optimizer.rates, jnp.int32(1), made, stepper.dealt.mesh
+    openings = jnp.asarray(made.sh.openings(made.steps))
+    arguments = state, views, made.optimizer.rates, openings, made, stepper.dealt.mesh
     text = step_on_views.lower(*arguments).compile().as_text()
     kinds = re.findall(
         r"= (.*?) (all-to-all|all-gather|all-reduce|reduce-scatter|collective-permute)\(", text

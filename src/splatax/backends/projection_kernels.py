@@ -5,11 +5,10 @@ others. Gradients, and tangents where the kernel has them, are the kernel's own.
 the portable projection, which JAX differentiates.
 """
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -20,18 +19,15 @@ from jaxtyping import Array, Float
 from splatax import projection
 from splatax.backends.foreign import Shape
 from splatax.backends.linear import Batched, Dims, linear_call
+from splatax.backends.packed_cameras import POSE_END, Layout, PackedCamera, packed
 from splatax.cameras import Camera
-from splatax.cameras.lenses import OpenCV
-from splatax.cameras.lenses.distortion import Distorted
-from splatax.footprints import EWA, Method, visible_plane
+from splatax.footprints import EWA, Method
 from splatax.gaussians import Gaussians
 from splatax.low_pass import Antialiasing, LowPass
 from splatax.splats import Splats
 
 FIELDS = ("means", "quats", "log_scales", "opacity_logits", "sh")  # in the order of the kernels
 RESIDUALS = jax.tree.structure(((0,) * len(FIELDS), 0, 0))
-POSE_END = 19  # numbers of a camera before those of its lens
-PackedCamera = Float[Array, " k"]  # fx, fy, cx, cy, rotation by rows, translation, position; then the lens's
 Options = Mapping[str, np.int64 | np.float32]
 
 
@@ -65,74 +61,37 @@ class Kernel(Protocol):
 ProjectionKernels = Mapping[type, Kernel]  # by kind of lens
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Boxed(OpenCV):
-    """OpenCV's lens with the box of slopes that was found for a camera.
-
-    Attributes:
-        corners: lowest and highest slopes at which the Jacobian is taken.
-    """
-
-    corners: Float[Array, "2 2"]
-
-    def box(self, low: Float[Array, "2"], high: Float[Array, "2"]) -> tuple[Array, Array]:
-        """Returns the box that was found."""
-        return self.corners[0], self.corners[1]
-
-
 @dataclass(frozen=True)
 class Settings:
     """The static settings of a projection.
 
     Attributes:
         kernel: the foreign functions.
-        width, height: of the image, pixels.
+        layout: of packed cameras.
         low_pass: the filter.
-        lens: pytree structure of the lens.
-        shapes: of the lens's arrays.
     """
 
     kernel: Kernel
-    width: int
-    height: int
+    layout: Layout
     low_pass: LowPass
-    lens: Any
-    shapes: tuple[tuple[int, ...], ...]
 
     @property
     def options(self) -> Options:
         """The attributes of a call."""
         fades = isinstance(self.low_pass, Antialiasing)
         return {
-            "width": np.int64(self.width),
-            "height": np.int64(self.height),
+            "width": np.int64(self.layout.width),
+            "height": np.int64(self.layout.height),
             "variance": np.float32(self.low_pass.variance),
             "fades": np.int64(fades),
             "least_fade": np.float32(self.low_pass.floor if isinstance(self.low_pass, Antialiasing) else 0),
         }
 
-    def camera(self, numbers: PackedCamera) -> Camera:
-        """Returns the camera of packed numbers; the inverse of `packed`."""
-        fx, fy, cx, cy = numbers[:4]
-        pose = jnp.eye(4, dtype=numbers.dtype).at[:3, :3].set(numbers[4:13].reshape(3, 3))
-        pose = pose.at[:3, 3].set(numbers[13:16])
-        ends = np.cumsum([POSE_END, *(math.prod(shape) for shape in self.shapes)])
-        parts = [
-            numbers[start:end].reshape(shape)
-            for start, end, shape in zip(ends[:-1], ends[1:], self.shapes, strict=True)
-        ]
-        lens = jax.tree.unflatten(self.lens, parts)
-        if isinstance(lens, OpenCV):
-            own = {field.name: getattr(lens, field.name) for field in fields(lens)}
-            lens = Boxed(**own, corners=numbers[ends[-1] + 1 :].reshape(2, 2))
-        return Camera(fx, fy, cx, cy, pose, self.width, self.height, lens)
-
     def portable(self, arrays: tuple[Array, ...], camera: PackedCamera) -> tuple[Array, ...]:
         """Returns what the kernel does, by plain JAX."""
         one = partial(
             projection.project_one,
-            camera=self.camera(camera),
+            camera=self.layout.camera(camera),
             position=camera[16:POSE_END],
             low_pass=self.low_pass,
             method=EWA,
@@ -163,37 +122,9 @@ def project(
     if kernel is None or not still or method != EWA:
         return projection.project(gaussians, camera, low_pass, method)
     arrays = tuple(getattr(gaussians, field) for field in FIELDS)
-    leaves, lens = jax.tree.flatten(camera.lens)
-    shapes = tuple(leaf.shape for leaf in leaves)
-    settings = Settings(kernel, camera.width, camera.height, low_pass, lens, shapes)
+    settings = Settings(kernel, Layout.of(camera), low_pass)
     means2d, sqrt_conics, depths, extents, colors, opacities = _project(arrays, packed(camera), settings)
     return Splats(means2d, sqrt_conics, depths, extents, colors, opacities, camera.width, camera.height)
-
-
-def packed(camera: Camera) -> PackedCamera:
-    """Returns the numbers of a camera as one array, as `CameraField` and the lenses in native/ order them."""
-    numbers = (camera.fx, camera.fy, camera.cx, camera.cy)
-    return jnp.concatenate(
-        [
-            jnp.stack(numbers),
-            jnp.ravel(camera.rotation),
-            camera.translation,
-            camera.position,
-            *_lens_numbers(camera),
-        ]
-    )
-
-
-def _lens_numbers(camera: Camera) -> list[Float[Array, " _"]]:
-    """Returns the coefficients of a lens, where it folds, and the box of slopes of a perspective."""
-    lens = camera.lens
-    if not isinstance(lens, Distorted):
-        return []
-    numbers = [jnp.ravel(leaf) for leaf in jax.tree.leaves(lens)]
-    numbers.append(jnp.reshape(lens.rise(camera.fx.dtype).limit, 1))
-    if isinstance(lens, OpenCV):
-        numbers += lens.box(*visible_plane(camera))
-    return numbers
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(2,))

@@ -30,7 +30,7 @@ Images = tuple[Float[Array, "*v h w c"], Float[Array, "*v h w"]]
 
 @dataclass(frozen=True)
 class NativeDrawing:
-    """From Gaussians to images, for pinholes; see `splatax.backends.protocol.Draw`. Arrays vary together.
+    """The native kernel from Gaussians to images, for pinholes; see `splatax.backends.protocol.Draw`.
 
     Attributes:
         build: the native library.

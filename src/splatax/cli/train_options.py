@@ -72,7 +72,8 @@ class Limits:
     machine's memory."""
     steps: Count = None
     """Number of training steps; each step uses one photo, or --views photos. By default as many as
-    --budget has time for, or 30,000 for the recipes "classic", "absgrad" and "mcmc"."""
+    --budget has time for, or for the recipes "classic", "absgrad" and "mcmc" 30,000, or 30 for each training
+    photo if that is more."""
     max_gaussians: Annotated[Literal["auto"] | int | None, shown_as("{auto,N}")] = None
     """Upper limit of the number of Gaussians. "default" and "mcmc" always reach it; "classic" and "absgrad"
     rarely do. By default "auto": as many as the photos have detail for, or 5,000,000 for the latter two."""

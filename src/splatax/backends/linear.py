@@ -221,7 +221,7 @@ def _jvp(primals: Any, tangents: Any, *, linear_map: LinearMap, structure: Any, 
         return out, linear_p.bind(*primals[:count], *directions, **parameters)
     point = (tuple(primals[:count]), tuple(primals[count:]))
     turned = Moving(linear_map, structure, moving)
-    change = linear_call(turned, point, tuple(tangents[i] for i in moving), out)
+    change = linear_call(turned, point, tuple(tangents[i] for i in moving), tuple(out))
     if all(isinstance(tangent, ad.Zero) for tangent in tangents[count:]):
         return out, list(change)
     directions = map(ad.instantiate_zeros, tangents[count:])

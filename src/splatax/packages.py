@@ -17,11 +17,12 @@ class MissingPackageError(InputError, ImportError):
 
 
 @contextmanager
-def required_by(part: str) -> Iterator[None]:
+def required_by(part: str, extra: str | None = None) -> Iterator[None]:
     """Says which package to install if an import inside the block does not find its module.
 
     Args:
         part: what needs the package, as the subject of the message, for example "splatax.load_dataset".
+        extra: the optional dependencies of splatax that hold the package, if users need all of them.
 
     Raises:
         MissingPackageError: if a module of another package is not found.
@@ -33,6 +34,7 @@ def required_by(part: str) -> Iterator[None]:
         if module == "splatax":
             raise
         package = NAMES.get(module, module)
+        install = f"'.[{extra}]' in the checkout of splatax." if extra else package
         raise MissingPackageError(
-            f"{part} needs the package {package}, which is not installed: pip install {package}"
+            f"{part} needs the package {package}, which is not installed: pip install {install}"
         ) from error

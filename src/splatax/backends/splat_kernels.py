@@ -8,7 +8,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from splatax.backends.foreign import Shape
-from splatax.backends.portable.composite import arguments_of, backward, directions, forward, moved
+from splatax.backends.portable.composite import (
+    arguments_of,
+    backward,
+    curvature_of_blend,
+    directions,
+    forward,
+    moved,
+)
 from splatax.splats import Splats
 
 
@@ -49,3 +56,19 @@ def second_derivative(primals, tangents) -> tuple[Splats, Float[Array, "n c"]]:
     point = directions(splats, channels)[:count], cotangents
     _, out = jax.jvp(gradient, point, (directions(d_splats, d_channels)[:count], d_cotangents))
     return out
+
+
+def curvature(residuals, tangents: tuple[Array, ...], cotangents: tuple[Array, ...]):
+    """Returns the gradient of the cotangents times the image's tangents, by the portable kernel.
+
+    Args:
+        residuals: of the kernel, which begin with splats and channels.
+        tangents: of splats and channels.
+        cotangents: of the image.
+
+    Returns:
+        The gradient, with the structure of the residuals; zero for all but splats and channels.
+    """
+    splats, channels, *rest = residuals
+    found = curvature_of_blend(splats, channels, tangents, cotangents)
+    return (*found, *jax.tree.map(jnp.zeros_like, rest))

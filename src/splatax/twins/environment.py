@@ -11,13 +11,13 @@ import numpy as np
 
 from splatax.errors import InputError
 from splatax.metrics import to_8bit
+from splatax.packages import required_by
 from splatax.rendering import render
 from splatax.sensors import Color, Depth, Labels, Normals, Sensor
 from splatax.twins.bridge import camera_of, frames_of
-from splatax.twins.needed import twins_extra
 from splatax.twins.twin import Twin
 
-with twins_extra("splatax.twins.environment"):
+with required_by("splatax.twins.environment", extra="twins"):
     import gymnasium
     import mujoco
     from gymnasium import spaces

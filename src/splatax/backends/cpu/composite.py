@@ -12,9 +12,15 @@ from splatax.backends import portable
 from splatax.backends.cpu import slanted
 from splatax.backends.cpu.library import Build
 from splatax.backends.linear import Dims, linear_call
-from splatax.backends.portable.composite import DERIVATIVE, curvature_of_blend, directions, forward
+from splatax.backends.portable.composite import DERIVATIVE, directions, forward
 from splatax.backends.protocol import Selection
-from splatax.backends.splat_kernels import gradient_shapes, gradients_of, inputs_of, second_derivative
+from splatax.backends.splat_kernels import (
+    curvature,
+    gradient_shapes,
+    gradients_of,
+    inputs_of,
+    second_derivative,
+)
 from splatax.splats import Splats
 
 MAX_PULLED_CHANNELS = 16  # NARROW_WALK in native/: with more, no pixel's whole gradient is ever known
@@ -92,9 +98,7 @@ class Derivative:
 
     def curvature(self, residuals, tangents: tuple[Array, ...], cotangents: tuple[Array, ...]):
         """Returns the gradient in the splats and channels, by the portable kernel."""
-        splats, channels, *rest = residuals
-        found = curvature_of_blend(splats, channels, tangents, cotangents)
-        return (*found, *jax.tree.map(jnp.zeros_like, rest))
+        return curvature(residuals, tangents, cotangents)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(2, 3))

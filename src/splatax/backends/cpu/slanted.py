@@ -15,9 +15,9 @@ from jaxtyping import Array, Float
 from splatax import along_rays
 from splatax.backends.cpu.library import Build
 from splatax.backends.linear import Dims, linear_call
-from splatax.backends.portable.composite import DERIVATIVE, curvature_of_blend, directions, forward
+from splatax.backends.portable.composite import DERIVATIVE, directions, forward
 from splatax.backends.portable.slanted import Slanted
-from splatax.backends.splat_kernels import second_derivative
+from splatax.backends.splat_kernels import curvature, second_derivative
 from splatax.splats import MIN_ALPHA, Splats, slants_of
 
 GROUP = 4  # channels of a walk, as in native/cpu/splats.h
@@ -91,9 +91,7 @@ class Derivative:
 
     def curvature(self, residuals, tangents: tuple[Array, ...], cotangents: tuple[Array, ...]):
         """Returns the gradient in the splats and channels, by the portable kernel."""
-        splats, channels, *rest = residuals
-        found = curvature_of_blend(splats, channels, tangents, cotangents)
-        return (*found, *jax.tree.map(jnp.zeros_like, rest))
+        return curvature(residuals, tangents, cotangents)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(2, 3))

@@ -12,8 +12,14 @@ from splatax.backends import portable
 from splatax.backends.cuda.library import Library
 from splatax.backends.foreign import Shape
 from splatax.backends.linear import Dims, linear_call
-from splatax.backends.portable.composite import DERIVATIVE, curvature_of_blend, directions, forward
-from splatax.backends.splat_kernels import gradient_shapes, gradients_of, inputs_of, second_derivative
+from splatax.backends.portable.composite import DERIVATIVE, directions, forward
+from splatax.backends.splat_kernels import (
+    curvature,
+    gradient_shapes,
+    gradients_of,
+    inputs_of,
+    second_derivative,
+)
 from splatax.splats import Splats
 
 MAX_PAIRS = 2**22  # (splat, tile) pairs in a round: with the gradient 200 MB at 1080p
@@ -106,9 +112,7 @@ class Derivative:
 
     def curvature(self, residuals, tangents: tuple[Array, ...], cotangents: tuple[Array, ...]):
         """Returns the gradient in the splats and channels, by the portable kernel."""
-        splats, channels, *rest = residuals
-        found = curvature_of_blend(splats, channels, tangents, cotangents)
-        return (*found, *jax.tree.map(jnp.zeros_like, rest))
+        return curvature(residuals, tangents, cotangents)
 
 
 def _draw(

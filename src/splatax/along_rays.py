@@ -22,6 +22,7 @@ exposure, are replaced around each mean by the pinhole with their Jacobian there
 the curvature of the lens over one Gaussian is not seen.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
@@ -33,7 +34,7 @@ from splatax.footprints import EWA, Method
 from splatax.gaussians import Gaussians, is_sound
 from splatax.low_pass import AlongRays
 from splatax.math import ellipsoids, harmonics, quaternions
-from splatax.projection import MAX_LOG_SCALE, Projected, direction, overlaps_image, period_of
+from splatax.projection import MAX_LOG_SCALE, Projected, direction, overlaps_image, splats_of
 from splatax.splats import MIN_ALPHA, Splats
 
 FLATTEST = -20.0  # log of the ratio of two scales below which flatter Gaussians are treated alike
@@ -133,18 +134,7 @@ def project(gaussians: Gaussians, camera: Camera, low_pass: AlongRays, method: M
         return _one(mean, quat, log_scale, logit, sh, camera, position, low_pass)
 
     rows, slants = jax.vmap(one)(*jax.tree.leaves(gaussians))
-    return Splats(
-        means2d=rows.mean2d,
-        sqrt_conics=rows.sqrt_conic,
-        depths=rows.depth,
-        extents=jax.lax.stop_gradient(rows.extent),
-        colors=rows.color,
-        opacities=rows.opacity,
-        width=camera.width,
-        height=camera.height,
-        period=period_of(camera),
-        slants=slants,
-    )
+    return replace(splats_of(rows, camera), slants=slants)
 
 
 def _one(

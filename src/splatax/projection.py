@@ -58,6 +58,11 @@ def project(gaussians: Gaussians, camera: Camera, low_pass: LowPass, method: Met
         return project_one(mean, quat, log_scale, logit, sh, camera, position, low_pass, method)
 
     rows = jax.vmap(one)(*jax.tree.leaves(gaussians))
+    return splats_of(rows, camera)
+
+
+def splats_of(rows: Projected, camera: Camera) -> Splats:
+    """Returns the splats of projected rows: n of each field. Extents have no gradient."""
     return Splats(
         means2d=rows.mean2d,
         sqrt_conics=rows.sqrt_conic,

@@ -7,6 +7,7 @@ import sys
 import pytest
 from test_refusals import refused
 
+from emitters import as_users_compile
 from splatax import backends
 
 needs_cpu = pytest.mark.skipif(
@@ -23,7 +24,7 @@ def command(capture, out, *options):
 @pytest.mark.slow
 def test_two_processes_write_the_scene_of_one_and_only_process_0_writes(capture, tmp_path):
     alone = tmp_path / "alone"
-    subprocess.run(command(capture, alone), check=True, capture_output=True)
+    subprocess.run(command(capture, alone), check=True, capture_output=True, env=as_users_compile())
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -34,6 +35,7 @@ def test_two_processes_write_the_scene_of_one_and_only_process_0_writes(capture,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
+            env=as_users_compile(),
         )
         for index, out in enumerate(outs)
     ]

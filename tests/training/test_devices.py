@@ -1,6 +1,5 @@
 """A step of several views gives the same scene, bit for bit, on any number of devices and processes."""
 
-import os
 import re
 import socket
 import subprocess
@@ -17,6 +16,7 @@ from numpy.testing import assert_allclose
 from test_training import RECIPE, capture, run
 
 import splatax as sx
+from emitters import as_users_compile
 from splatax import backends
 from splatax.runs.scaling import bytes_exchanged
 from splatax.training.density import NoDensityControl
@@ -29,6 +29,7 @@ from splatax.training.recipes import ShSchedule, with_views
 from splatax.training.step import compare
 
 HERE = Path(__file__).parent
+ENVIRONMENT = as_users_compile(PYTHONPATH=f"{HERE.parent}:{HERE}")
 needs_cpu = pytest.mark.skipif(
     backends.why_unavailable("cpu") is not None, reason="only the native backend computes each row alone"
 )
@@ -44,15 +45,14 @@ def results(output):
 
 
 def trained(*arguments):
-    found = subprocess.run(program(*arguments), check=True, capture_output=True, text=True, env=environment())
+    found = subprocess.run(
+        program(*arguments),
+        check=True,
+        capture_output=True,
+        text=True,
+        env=ENVIRONMENT,
+    )
     return results(found.stdout)
-
-
-def environment():
-    """Variables of a process that compiles fusions as users do: XLA's older emitters round differently in
-    programs for different numbers of devices."""
-    flags = os.environ.get("XLA_FLAGS", "").replace("--xla_cpu_use_fusion_emitters=false", "")
-    return os.environ | {"PYTHONPATH": f"{HERE.parent}:{HERE}", "XLA_FLAGS": flags}
 
 
 @needs_cpu
@@ -99,7 +99,7 @@ def test_two_processes_of_four_devices_train_the_same_bits_as_one_of_eight():
             program("default", "--host", port, "2", index),
             stdout=subprocess.PIPE,
             text=True,
-            env=environment(),
+            env=ENVIRONMENT,
         )
         for index in ("0", "1")
     ]

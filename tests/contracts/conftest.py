@@ -4,7 +4,6 @@ import pytest
 from enrolled import NAMES, available
 
 from splatax.backends.cpu import library
-from splatax.footprints import Unscented
 
 
 @pytest.fixture(params=NAMES)
@@ -13,30 +12,46 @@ def backend(request):
     return available(request.param)
 
 
-def pytest_collection_modifyitems(items):
+WHAT_A_BUILD_CHANGES = (  # modules of values and gradients that the machine code computes
+    "test_rasterizers",
+    "test_projections",
+    "test_photometric",
+    "test_lens_kernels",
+    "test_slanted",
+)
+IN_OTHER_MODULES = (
+    "test_forward_mode_of_the_rasterizer_equals_finite_differences",
+    "test_every_output_equals_the_reference",
+)
+
+
+def pytest_collection_modifyitems(config, items):
     """Marks what runs on a build of the native library that this machine would not choose by itself, and
-    what repeats, with long compilations, what other cases of a contract have shown."""
+    what repeats, with long compilations, what other cases of a contract have shown. Leaves out what the
+    instruction set of a build cannot change: doors, names of outputs, and rules of transformations."""
     best = None if library.why_unavailable(None) else f"cpu-{library.best_instructions()}"
     others = {f"cpu-{instructions}" for instructions in library.INSTRUCTIONS} - {best}
+    left_out = set()
     for item in items:
         if not (isinstance(item, pytest.Function) and "[" in item.name):
             continue
         parameters = item.callspec.params
         if any(value in others for value in parameters.values() if isinstance(value, str)):
             item.add_marker(pytest.mark.other_build)
-        if repeats(item.originalname, item.module.__name__, parameters):
+            module = item.module.__name__.rpartition(".")[2]
+            if module not in WHAT_A_BUILD_CHANGES and item.originalname not in IN_OTHER_MODULES:
+                left_out.add(item)
+        if repeats(item.module.__name__, parameters):
             item.add_marker(pytest.mark.slow)
+    config.hook.pytest_deselected(items=list(left_out))
+    items[:] = [item for item in items if item not in left_out]
 
 
-def repeats(name, module, parameters):
+def repeats(module, parameters):
     """Whether `make slow` suffices for a case: the oracle under transformations of JAX; the portable backend
-    with more widths, all of which one program serves; the unscented transform through each lens."""
+    with more widths, all of which one program serves."""
     named = (value for value in parameters.values() if isinstance(value, str) and value in NAMES)
     backend = next(named, None)
     if backend == "reference":
         return module.endswith(("test_derivatives", "test_transformations", "test_outputs"))
-    if backend == "xla" and "channels" in parameters:
-        return parameters["channels"] not in (5, 17)
-    if name == "test_every_parameter_of_the_camera_matches_finite_differences":
-        return parameters["method"] == Unscented() and parameters["lens"] != "opencv"
-    return False
+    return backend == "xla" and "channels" in parameters and parameters["channels"] not in (5, 17)

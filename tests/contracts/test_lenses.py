@@ -87,11 +87,47 @@ def test_the_inverse_has_the_derivatives_of_the_inverse(x64, lens):
         assert_allclose(derivative, 0, atol=1e-9)
 
 
-@pytest.mark.parametrize("method", [Ewa(), Unscented()], ids=["ewa", "unscented"])
-@pytest.mark.parametrize("motion", ["still", pytest.param("rolling", marks=pytest.mark.slow)])
-def test_every_parameter_of_the_camera_matches_finite_differences(x64, lens, method, motion):
-    if motion == "rolling" and not isinstance(lens, lenses.Pinhole | lenses.Fisheye):
-        pytest.skip("a moving camera compiles slowly; two lenses stand for all")
+def test_every_coefficient_moves_the_image_and_its_jacobian_as_finite_differences_say(x64, lens):
+    """Projection takes from a lens where it sees a point, and the Jacobian there."""
+    points = jnp.asarray(directions(lens, n=5, widest=1.0) * 3)
+
+    @jax.jit
+    def seen(lens, points):
+        return jax.vmap(lens.project)(points), jax.vmap(jax.jacfwd(lens.project))(points)
+
+    arguments, tree = jax.tree.flatten((lens, points))
+    step = 1e-6
+    rng = np.random.default_rng(0)
+    for i, leaf in enumerate(arguments):
+        direction = jnp.asarray(rng.normal(size=leaf.shape))
+        still = [jnp.zeros_like(other) for other in arguments]
+        along = tree.unflatten([*still[:i], direction, *still[i + 1 :]])
+        own = jax.jvp(seen, (lens, points), along)[1]
+        ends = [
+            seen(*tree.unflatten([*arguments[:i], leaf + sign * step * direction, *arguments[i + 1 :]]))
+            for sign in (1, -1)
+        ]
+        finite = jax.tree.map(lambda a, b: (a - b) / (2 * step), *ends)
+        for found, expected in zip(own, finite, strict=True):
+            assert_allclose(found, expected, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "motion", "method"),
+    [
+        ("pinhole", "still", Ewa()),
+        ("opencv", "still", Ewa()),
+        ("opencv", "still", Unscented()),
+        ("equirectangular", "still", Ewa()),
+        *(
+            pytest.param(name, "rolling", method, marks=pytest.mark.slow)
+            for name in ("pinhole", "fisheye")
+            for method in (Ewa(), Unscented())
+        ),
+    ],
+)
+def test_every_parameter_of_the_camera_matches_finite_differences(x64, name, motion, method):
+    lens = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf, float)), LENSES[name])
     camera = wide_camera(lens, MOTIONS[motion])
     gaussians = random_gaussians(n=8, degree=1, spread=0.7, dtype=np.float64)
     rng = np.random.default_rng(3)
@@ -157,10 +193,13 @@ def test_ewa_tends_to_the_unscented_transform_as_gaussians_shrink(x64, lens):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", [Ewa(), Unscented()], ids=["ewa", "unscented"])
-def test_a_picture_is_finite_with_finite_gradients_wherever_gaussians_are(lens, method):
+@pytest.mark.parametrize(
+    ("name", "method"),
+    [*((name, Ewa()) for name in LENSES), ("opencv", Unscented()), ("fisheye", Unscented())],
+)
+def test_a_picture_is_finite_with_finite_gradients_wherever_gaussians_are(name, method):
     """All around the camera, at it, behind it, and beyond the fold of a distortion."""
-    camera = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), jnp.float32), wide_camera(lens))
+    camera = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), jnp.float32), wide_camera(LENSES[name]))
     camera = replace(camera, cam_from_world=jnp.eye(4), motion=MOTIONS["rolling"])
     around = random_gaussians(n=200, degree=1, spread=2.0)
     special = jnp.array(

@@ -59,16 +59,17 @@ def whole(room: Dataset) -> Dataset:
 
 def in_faces(room: Dataset) -> Dataset:
     """Returns the capture of the faces of the panoramas, 90 degrees wide."""
-    panoramas.FIELD = np.pi / 2
-    size = panoramas.size_of_faces(SIZE[0], SIZE[0])
-    focal, middle = (jnp.float32(number) for number in (panoramas.focal_of_faces(size), size / 2))
+    field = panoramas.SHOWN
+    size = panoramas.size_of_faces(SIZE[0], field)
+    focal, middle = (jnp.float32(number) for number in (panoramas.focal_of_faces(size, field), size / 2))
     views = []
     for view in whole(room).train:
-        for face in panoramas.FACES:
+        faces = cache(lambda view=view: panoramas.faces_of(view.pixels(), size, field))
+        for number, face in enumerate(panoramas.FACES):
             turn = jnp.eye(4).at[:3, :3].set(jnp.array(face.rotation, jnp.float32))
             camera = Camera(focal, focal, middle, middle, turn @ view.camera.cam_from_world, size, size)
-            pixels = cache(partial(panoramas.cut, view.pixels(), face, size))
-            views.append(View(f"{view.name}-{face.name}", camera, pixels))
+            pixels = partial(lambda faces, number: faces()[number], faces, number)
+            views.append(View(f"{view.name}-{face.name}", camera, pixels, face_of=view.name))
     return replace(room, train=tuple(views))
 
 

@@ -74,7 +74,7 @@ def main() -> None:
     print(f"{len(gaussians):,} Gaussians, SH degree {degree}, {len(cameras)} views")
     print("| suffix | MB | save, s | load, s | PSNR, dB |\n|---|---|---|---|---|")
     with tempfile.TemporaryDirectory() as folder:
-        for suffix in formats.suffixes("save"):
+        for suffix in formats.WRITTEN:
             path = Path(folder) / f"scene{suffix}"
             started = time.perf_counter()
             sx.save(path, gaussians)

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from splatax.cameras import Camera
 from splatax.cameras.geometry import seen_at
-from splatax.dataset import View, mask_of
+from splatax.dataset import View, by_photo, mask_of
 from splatax.evaluation import Scores, evaluate, photo_of
 from splatax.gaussians import Gaussians
 from splatax.lpips import Lpips
@@ -46,7 +46,7 @@ class AdjustedScores:
 
     Attributes:
         scores: of the views, in their order.
-        motions: how far the picture of each view moved, pixels; see `Adjusted`.
+        motions: how far the picture of each photo moved, pixels; see `Adjusted`.
     """
 
     scores: Scores
@@ -81,7 +81,8 @@ def evaluate_adjusted(
     """
     found = adjusted(gaussians, views, renderer)
     scores = evaluate(gaussians, [each.view for each in found], renderer=renderer, lpips=lpips)
-    return AdjustedScores(scores, tuple(each.motion for each in found))
+    motions = by_photo(views, {each.view.name: each.motion for each in found})
+    return AdjustedScores(scores, tuple(float(np.mean(each)) for each in motions.values()))
 
 
 def adjusted(

@@ -1,20 +1,21 @@
 """Records of a capture in memory: views with their cameras, and points. Nothing here reads files."""
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from splatax.cameras import Camera, rig
 from splatax.errors import DatasetError, InputError
-from splatax.splits import Every, HoldOut
+from splatax.splits import Every, HoldOut, Listed
 
 Pixels = UInt8[np.ndarray, "_ _ 3"] | UInt8[np.ndarray, "_ _ 4"]
 Mask = Bool[np.ndarray, "_ _"]
+Value = TypeVar("Value")
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,7 @@ class View:
         landmarks: function that returns world points on the surfaces that the photo shows, such as those of
             structure from motion or of a depth map; None if none are known.
         truth: function that returns the true geometry; None if it is not known.
+        face_of: name of the 360-degree photo that the view is a face of; None for a photo by itself.
     """
 
     name: str
@@ -54,6 +56,31 @@ class View:
     mask: Callable[[], Mask] | None = None
     landmarks: Callable[[], Float[np.ndarray, "_ 3"]] | None = None
     truth: Callable[[], TrueGeometry] | None = None
+    face_of: str | None = None
+
+    @property
+    def photo(self) -> str:
+        """Name of the photo, which all faces of a 360-degree photo share."""
+        return self.face_of or self.name
+
+
+def by_photo(views: Iterable[View], values: Mapping[str, Value]) -> dict[str, list[Value]]:
+    """Returns the values of each photo by its name: several for a photo in faces.
+
+    Args:
+        views: views in the order of the result.
+        values: by the names of views; views without one are passed over.
+    """
+    found: dict[str, list[Value]] = {}
+    for view in views:
+        if view.name in values:
+            found.setdefault(view.photo, []).append(values[view.name])
+    return found
+
+
+def photos_in(views: Iterable[View]) -> int:
+    """Returns the number of photos that views show; the faces of a 360-degree photo are one."""
+    return len({view.photo for view in views})
 
 
 def mask_of(view: View) -> Mask | None:
@@ -133,6 +160,11 @@ class Dataset:
         return tuple(sorted(self.train + self.test, key=lambda view: view.name))
 
     @cached_property
+    def standpoints(self) -> tuple[View, ...]:
+        """One view of each photo, sorted by name: the first of the faces of a 360-degree photo."""
+        return tuple({view.photo: view for view in reversed(self.views)}.values())[::-1]
+
+    @cached_property
     def extent(self) -> float:
         """Size of the scene, world units; see `cameras.rig.extent_of` of the training cameras.
 
@@ -142,7 +174,7 @@ class Dataset:
 
 
 def hold_out(views: Sequence[View], rule: HoldOut = Every()) -> tuple[tuple[View, ...], tuple[View, ...]]:
-    """Splits views into (train, test), both sorted by name.
+    """Splits views into (train, test), both sorted by name. Faces of a 360-degree photo stay together.
 
     Args:
         views: views in any order.
@@ -152,15 +184,32 @@ def hold_out(views: Sequence[View], rule: HoldOut = Every()) -> tuple[tuple[View
         InputError: if the rule leaves no view to train on, or names a photo that is not there.
     """
     ordered = sorted(views, key=lambda view: view.name)
-    tested = set(rule.of([view.name for view in ordered]))
-    test = tuple(view for view in ordered if view.name in tested)
-    train = tuple(view for view in ordered if view.name not in tested)
+    tested = photos_by(rule, ordered)
+    test = tuple(view for view in ordered if view.photo in tested)
+    train = tuple(view for view in ordered if view.photo not in tested)
     if not train:
         raise InputError(
-            f"Holding out {rule} leaves none of {len(ordered)} photos to train on. Hold out fewer.",
+            f"Holding out {rule} leaves none of {photos_in(ordered)} photos to train on. Hold out fewer.",
             options=("hold_out",),
         )
     return train, test
+
+
+def photos_by(rule: HoldOut, views: Sequence[View]) -> set[str]:
+    """Returns the names of the photos that a rule chooses.
+
+    Args:
+        rule: which; a list may name a 360-degree photo or any of its faces.
+        views: all views, sorted by name.
+
+    Raises:
+        InputError: if the rule names a photo that is not there.
+    """
+    photo_of = {view.name: view.photo for view in views}
+    photos = list(dict.fromkeys(photo_of.values()))
+    if isinstance(rule, Listed):
+        return {photo_of.get(name, name) for name in rule.of(list(dict.fromkeys([*photos, *photo_of])))}
+    return set(rule.of(photos))
 
 
 def resplit(dataset: Dataset, rule: HoldOut) -> Dataset:
@@ -174,12 +223,12 @@ def resplit(dataset: Dataset, rule: HoldOut) -> Dataset:
 
 
 def without(dataset: Dataset, names: Collection[str]) -> Dataset:
-    """Returns a capture without some of its training views.
+    """Returns a capture without some of its training photos, by their names.
 
     Raises:
         InputError: if none is left.
     """
-    train = tuple(view for view in dataset.train if view.name not in names)
+    train = tuple(view for view in dataset.train if view.photo not in names)
     if not train:
         raise InputError("No photo is left to train on. Leave out fewer.", options=("leave_out",))
     return replace(dataset, train=train)

@@ -1,6 +1,6 @@
 """Evaluation: PSNR, SSIM and LPIPS of renderings compared with photos, usually held-out ones."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from threading import Lock
 
@@ -11,7 +11,7 @@ from splatax import metrics
 from splatax.ahead import cores, in_order
 from splatax.cameras import Camera
 from splatax.cameras.canvases import Size, canvases_for
-from splatax.dataset import Mask, View, mask_of
+from splatax.dataset import Mask, View, by_photo, mask_of
 from splatax.errors import DatasetError, InputError
 from splatax.gaussians import Gaussians
 from splatax.lpips import Lpips
@@ -32,10 +32,10 @@ THREADS = 4  # that score views, at most; each holds about 20 bytes for a pixel 
 
 @dataclass(frozen=True)
 class ViewScore:
-    """Scores of one view, computed on 8-bit images.
+    """Scores of one view, or of all faces of a 360-degree photo, computed on 8-bit images.
 
     Attributes:
-        name: of the view.
+        name: of the view or the photo.
         psnr: dB.
         ssim: at most 1.
         corrected_psnr: dB, after an affine map of the rendering's colours; see `metrics.color_corrected`.
@@ -104,7 +104,41 @@ def evaluate(
     Raises:
         DatasetError: if a photo is too small to be compared, or its mask leaves too little of it.
     """
-    return Scores(tuple(score for score, *_ in compared(gaussians, views, renderer, lpips)))
+    views = tuple(views)
+    return scores_of(views, [score for score, *_ in compared(gaussians, views, renderer, lpips)])
+
+
+def scores_of(views: Iterable[View], scores: Iterable[ViewScore]) -> Scores:
+    """Returns the scores of photos. The faces of a 360-degree photo have one, of all of their pixels.
+
+    Args:
+        views: views with the scores, and perhaps others.
+        scores: of views.
+    """
+    views = tuple(views)
+    if not any(view.face_of for view in views):
+        return Scores(tuple(scores))
+    photos = by_photo(views, {score.name: score for score in scores})
+    return Scores(
+        tuple(each[0] if each[0].name == photo else joined(photo, each) for photo, each in photos.items())
+    )
+
+
+def joined(photo: str, faces: Sequence[ViewScore]) -> ViewScore:
+    """Returns the score of a 360-degree photo: squared errors and the other measures are means over faces."""
+
+    def mean_psnr(values: list[float]) -> float:
+        error = float(np.mean([10 ** (-value / 10) for value in values]))
+        return -10 * float(np.log10(error)) if error else float("inf")
+
+    lpips = [face.lpips for face in faces if face.lpips is not None]
+    return ViewScore(
+        photo,
+        mean_psnr([face.psnr for face in faces]),
+        float(np.mean([face.ssim for face in faces])),
+        mean_psnr([face.corrected_psnr for face in faces]),
+        float(np.mean(lpips)) if lpips else None,
+    )
 
 
 def compared(

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from dataclasses import replace
 
+import docstring_parser
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
@@ -14,6 +15,7 @@ from test_refusals import refused
 import splatax as sx
 from splatax import backends, cli, lpips
 from splatax.cli import render
+from splatax.cli.reconstruct import FindingCameras, Reconstruct
 from splatax.cli.settings import Settings
 from splatax.training.backgrounds import Solid
 from splatax.training.geometry import Surfaces
@@ -198,6 +200,16 @@ def test_bench_times_every_operation_of_every_backend(tmp_path, capsys, monkeypa
     assert all(0 < row["minimum"] <= row["median"] for row in times.values())
     assert "300 procedural" in capsys.readouterr().out
     assert Image.open(out / "bench.png").width > 100
+
+
+def test_help_is_wrapped_for_the_terminal_and_not_as_in_its_source(monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "500")
+    with pytest.raises(SystemExit):
+        cli.main(["reconstruct", "--help"])
+    said = capsys.readouterr().out
+    for option in (FindingCameras, Reconstruct):
+        for described in docstring_parser.parse_from_object(option).params:
+            assert " ".join(described.description.split()) in said
 
 
 def test_python_m_splatax_is_the_command():

@@ -90,6 +90,21 @@ def stopped(capture, tmp_path, stopped_at, monkeypatch):
     return tmp_path / "run"
 
 
+@pytest.mark.slow
+def test_a_run_with_refined_poses_that_was_stopped_ends_with_the_same_cameras(
+    tmp_path, stopped_at, monkeypatch
+):
+    photos = write_capture(tmp_path / "photos", count=16)
+    start(photos, tmp_path / "whole", "--refine", "poses")
+    stopped_at(13)
+    with pytest.raises(PowerCut):
+        start(photos, tmp_path / "run", "--refine", "poses")
+    monkeypatch.setattr(session, "optimize", sx.training.loop.optimize)
+    go_on(tmp_path / "run")
+    for name in ("scene.ply", "refined/sparse/0/images.bin"):
+        assert (tmp_path / "run" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+
+
 def kept(run):
     return sorted(path.name for path in (run / "checkpoints").iterdir())
 

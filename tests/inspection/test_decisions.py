@@ -9,7 +9,8 @@ from scipy import ndimage
 
 import splatax as sx
 from splatax.inspection import decisions
-from splatax.inspection.decisions import look_first
+from splatax.inspection.decisions import Sight, look_first
+from splatax.inspection.looks import Look
 
 PHOTOS = 18
 
@@ -78,3 +79,32 @@ def test_photos_that_repeat_another_are_left_out_above_all_those_of_held_out_one
 def test_the_same_colours_from_another_place_are_no_repetition(plain, tmp_path):
     grey = changed(plain, tmp_path, {view.name: lambda pixels: 0 * pixels + 90 for view in plain.views})
     assert not look_first(grey).repeated
+
+
+def test_a_face_without_detail_does_not_make_a_panorama_blurred():
+    rng = np.random.default_rng(0)
+
+    def sight(photo, face, sharpness):
+        view = sx.View(f"{photo}-{face}", None, None, face_of=photo)
+        return Sight(view, Look(sharpness=sharpness), np.zeros((24, 32)), np.zeros(0))
+
+    sharp = [
+        sight(f"{photo:02}.jpg", face, 0.1 if face == "up" else rng.uniform(90, 110))
+        for photo in range(PHOTOS)
+        for face in ("front", "right", "back", "left", "up", "down")
+    ]
+    assert decisions.blurred_of(sharp) == ()
+    blurred = [
+        replace(each, look=Look(sharpness=2.0)) if each.view.photo == "05.jpg" else each for each in sharp
+    ]
+    assert decisions.blurred_of(blurred) == ("05.jpg",)
+
+
+def test_a_panorama_repeats_another_only_if_all_of_its_faces_do():
+    sights = [
+        Sight(sx.View(f"{photo}-{face}", None, None, face_of=photo), Look(), np.zeros((24, 32)), np.zeros(0))
+        for photo in ("a", "b", "c")
+        for face in ("front", "back")
+    ]
+    repeated = {"b-front": "a-front", "b-back": "a-back", "c-front": "a-front"}
+    assert decisions.repeated_photos(sights, repeated) == {"b": "a"}

@@ -1,4 +1,4 @@
-"""360-degree photos: recognised by their metadata, cut into faces, placed as rigs, and kept as they are."""
+"""360-degree photos: recognised by their metadata, cut into faces, placed as rigs, and one photo each."""
 
 import math
 
@@ -10,11 +10,25 @@ from scipy import ndimage
 
 import corner
 import splatax as sx
-from splatax.cameras.lenses import Equirectangular
+from splatax.cameras.lenses import Equirectangular, Pinhole
+from splatax.dataset import View, photos_in, without
 from splatax.errors import DatasetError, InputError
+from splatax.evaluation import ViewScore, scores_of
+from splatax.inspection.examination import examine
 from splatax.reconstruction import diagnosis, pipeline, reconstruct
-from splatax.reconstruction.panoramas import FACES, cut, focal_of_faces, pixels_in_panorama, size_of_faces
-from splatax.reconstruction.photos import photos_in
+from splatax.reconstruction.panoramas import (
+    FACES,
+    SEARCHED,
+    SHOWN,
+    faces_of,
+    focal_of_faces,
+    pixels_in_faces,
+    rays_of,
+    size_of_faces,
+)
+from splatax.reconstruction.photos import photos_in as photos_of_folder
+from splatax.splits import Every, Listed, Nothing
+from splatax.training.feed import rows_for, sources
 
 SIZE, COUNT = (512, 256), 6
 HALF = np.array([3.0, 1.5, 2.5])  # of a papered room
@@ -80,6 +94,14 @@ def photos(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def outcome(photos, tmp_path_factory):
+    """A capture with the panoramas as they are."""
+    out = tmp_path_factory.mktemp("room") / "capture"
+    return out, reconstruct(photos, out, faces=False)
+
+
+@pytest.fixture(scope="module")
+def in_faces(photos, tmp_path_factory):
+    """A capture with the faces of the panoramas."""
     out = tmp_path_factory.mktemp("room") / "capture"
     return out, reconstruct(photos, out)
 
@@ -104,7 +126,9 @@ def test_panoramas_are_placed_where_they_were_taken_and_kept_as_they_are(photos,
         assert (out / "images" / name).read_bytes() == (photos / name).read_bytes()
 
 
-def test_features_of_faces_are_observations_of_the_panorama(outcome):
+@pytest.mark.parametrize("kind", ["outcome", "in_faces"])
+def test_features_of_faces_are_observations_of_the_written_photos(kind, request):
+    outcome = request.getfixturevalue(kind)
     dataset = sx.load_dataset(outcome[0])
     errors = np.concatenate(list(dataset.survey.errors.values()))
     assert len(errors) > 1000
@@ -115,21 +139,104 @@ def test_features_of_faces_are_observations_of_the_panorama(outcome):
     assert len(sides) == 6
 
 
-def test_a_face_shows_what_the_panorama_shows_there():
+def test_faces_of_a_panorama_have_one_place_and_turn_by_exact_rotations(in_faces):
+    out, result = in_faces
+    dataset = sx.load_dataset(out)
+    assert (len(result.registered), result.panoramas, photos_in(dataset.views)) == (COUNT, COUNT, COUNT)
+    assert len(dataset.views) == 6 * COUNT
+    for number in range(COUNT):
+        faces = {view.name: view.camera for view in dataset.views if view.photo == f"room {number}.jpg"}
+        front = faces[f"room {number}.jpg-front.png"]
+        for face in FACES:
+            camera = faces[f"room {number}.jpg-{face.name}.png"]
+            assert isinstance(camera.lens, Pinhole)
+            assert float(2 * camera.fx) == camera.width == camera.height == size_of_faces(SIZE[0], SHOWN)
+            assert_allclose(camera.position, front.position, atol=1e-5)
+            turn = np.asarray(camera.rotation) @ np.asarray(front.rotation).T
+            assert_allclose(turn, np.array(face.rotation), atol=1e-6)  # float32
+    notes = " ".join(dataset.notes)
+    assert "6 of 6 photos registered" in notes
+    assert "6 photos of 360 degrees, in 36 faces" in notes
+
+
+def test_a_held_out_panorama_is_held_out_with_all_of_its_faces(in_faces):
+    for rule in (None, Every(2, 2), Listed(("room 3.jpg",)), Listed(("room 3",)), Listed(("room 3.jpg-up",))):
+        dataset = sx.load_dataset(in_faces[0], hold_out=rule)
+        unseen, seen = ({view.photo for view in views} for views in (dataset.test, dataset.train))
+        assert unseen
+        assert not unseen & seen
+        assert len(dataset.test) == 6 * len(unseen)
+    assert unseen == {"room 3.jpg"}
+    (in_faces[0] / "test.txt").write_text("room 1.jpg\n")
+    listed = sx.load_dataset(in_faces[0])
+    (in_faces[0] / "test.txt").unlink()
+    assert {view.photo for view in listed.test} == {"room 1.jpg"}
+    assert "1 of 6 photos held out" in " ".join(listed.notes)
+
+
+def test_a_panorama_is_left_out_with_all_of_its_faces(in_faces):
+    dataset = sx.load_dataset(in_faces[0], hold_out=Nothing())
+    kept = without(dataset, {"room 2.jpg"})
+    assert len(kept.train) == 6 * (COUNT - 1)
+    looks = examine(in_faces[0], dataset)
+    assert list(looks.looks) == list(looks.photos) == list(looks.panoramas)
+    assert len(looks.views) == len(looks.errors) == COUNT
+
+
+def test_faces_of_a_panorama_share_what_is_learned_of_a_photo(in_faces):
+    views = sx.load_dataset(in_faces[0], hold_out=Nothing()).train
+    rows = [int(source.view) for source in sources(views)]
+    assert rows == [number for number in range(COUNT) for _ in range(6)]
+    assert rows_for(views) == COUNT
+
+
+def test_the_score_of_a_panorama_is_that_of_all_of_its_pixels():
+    views = [View(f"a-{i}", None, None, face_of="a" if i < 2 else None) for i in range(3)]
+    scores = [
+        ViewScore("a-0", 20.0, 0.5, 30.0),
+        ViewScore("a-1", 30.0, 0.7, 30.0),
+        ViewScore("a-2", 1.0, 1.0, 1.0),
+    ]
+    panorama, photo = scores_of(views, scores).views
+    assert panorama.name == "a"
+    assert panorama.psnr == pytest.approx(-10 * math.log10((1e-2 + 1e-3) / 2))
+    assert (panorama.ssim, panorama.corrected_psnr) == (pytest.approx(0.6), pytest.approx(30.0))
+    assert photo is scores[2]
+
+
+@pytest.mark.parametrize("field", [SEARCHED, SHOWN])
+def test_a_face_shows_what_the_panorama_shows_there(field):
     colors = np.round(127.5 + 127.5 * rays()).astype(np.uint8)  # the direction itself
-    size = size_of_faces(SIZE[0], 1600)
-    for face in FACES:
+    size = size_of_faces(SIZE[0], field)
+    for face, shown in zip(FACES, faces_of(colors, size, field), strict=True):
         pixels = np.array([[0.5, 0.5], [size / 2, size / 2], [size - 0.5, 10.5]])
-        local = np.column_stack([(pixels - size / 2) / focal_of_faces(size), np.ones(3)])
+        local = np.column_stack([(pixels - size / 2) / focal_of_faces(size, field), np.ones(3)])
         directions = local / np.linalg.norm(local, axis=1, keepdims=True) @ np.array(face.rotation, float)
         x, y = pixels.astype(int).T
-        shown = cut(colors, face, size)[y, x] / 127.5 - 1
-        assert_allclose(
-            shown, directions, atol=0.03
-        )  # of a pixel, which is 0.012 wide, and its interpolation
-        columns, rows = np.floor(pixels_in_panorama(pixels, face, size, SIZE)).astype(int).T
-        there = colors[np.clip(rows, 0, 255), columns % 512] / 127.5 - 1
-        assert_allclose(there, directions, atol=0.03)
+        assert_allclose(shown[y, x] / 127.5 - 1, directions, atol=0.02)  # a pixel is 0.012 wide
+
+
+def test_a_panorama_loses_nothing_in_its_faces():
+    """Detail of two pixels a wave, the finest that sampling at its own resolution can keep, keeps 0.9."""
+    waves = 127.5 + 100 * np.sin(2 * math.pi * np.arange(SIZE[0]) / 4)
+    panorama = np.repeat(np.repeat(waves[None, :, None], SIZE[1], 0), 3, 2).round().astype(np.uint8)
+    size = size_of_faces(SIZE[0], SHOWN)
+    front = faces_of(panorama, size, SHOWN)[0][size // 2, :, 0].astype(float)
+    assert front.max() - front.min() > 0.9 * 200
+
+
+def test_an_observation_in_any_face_is_at_the_same_direction_in_the_capture():
+    rng = np.random.default_rng(0)
+    size = size_of_faces(SIZE[0], SHOWN)
+    for face in FACES:
+        searched = size_of_faces(SIZE[0], SEARCHED)
+        rays_there = rays_of(rng.uniform(0, searched, (20, 2)), face, searched)
+        chosen, pixels = pixels_in_faces(rays_there, size)
+        assert ((pixels >= 0) & (pixels <= size)).all()
+        local = np.column_stack([(pixels - size / 2) / focal_of_faces(size, SHOWN), np.ones(20)])
+        back = np.einsum("nji,nj->ni", np.array([FACES[i].rotation for i in chosen], float), local)
+        lengths = [np.linalg.norm(each, axis=1, keepdims=True) for each in (back, rays_there)]
+        assert_allclose(back / lengths[0], rays_there / lengths[1], atol=1e-12)
 
 
 def test_the_rotations_of_faces_are_rotations():
@@ -162,7 +269,7 @@ def test_a_photo_is_a_panorama_if_its_shape_and_metadata_or_the_user_say_so(
     tmp_path, xmp, size, asked, panorama, wide
 ):
     Image.new("RGB", size).save(tmp_path / "a.jpg", xmp=xmp.encode())
-    (photo,), _ = photos_in(tmp_path, asked)
+    (photo,), _ = photos_of_folder(tmp_path, asked)
     assert (photo.panorama, photo.wide) == (panorama, wide)
 
 
@@ -172,7 +279,7 @@ def test_metadata_of_png_are_read_too(tmp_path):
     told = PngInfo()
     told.add_itxt("XML:com.adobe.xmp", WHOLE)
     Image.new("RGB", SIZE).save(tmp_path / "a.png", pnginfo=told)
-    assert photos_in(tmp_path)[0][0].panorama
+    assert photos_of_folder(tmp_path)[0][0].panorama
 
 
 def test_photos_that_may_be_panoramas_and_do_not_fit_together_are_asked_about(tmp_path):
@@ -186,9 +293,9 @@ def test_photos_that_may_be_panoramas_and_do_not_fit_together_are_asked_about(tm
     assert caught.value.options == ("panoramas all",)
 
 
-def test_panoramas_are_not_undistorted(photos, tmp_path):
+def test_panoramas_that_are_kept_are_not_undistorted(photos, tmp_path):
     with pytest.raises(InputError, match="6 photos of 360 degrees, which no pinhole camera can show"):
-        reconstruct(photos, tmp_path, undistort=True)
+        reconstruct(photos, tmp_path, faces=False, undistort=True)
 
 
 def test_a_panorama_has_the_reason_of_the_face_that_came_closest():
@@ -199,5 +306,5 @@ def test_a_panorama_has_the_reason_of_the_face_that_came_closest():
 
 def test_large_faces_are_shrunk_to_the_size_of_feature_extraction(tmp_path):
     Image.new("RGB", (9000, 4500)).save(tmp_path / "a.png")
-    (photo,), _ = photos_in(tmp_path, "all")
+    (photo,), _ = photos_of_folder(tmp_path, "all")
     assert pipeline.shrunk_size(photo, 1600) == (1600, 1600)

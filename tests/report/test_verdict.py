@@ -48,6 +48,29 @@ def test_a_scene_that_is_evenly_poor_is_not_called_faultless(dataset):
     assert [each.what for each in verdict.bad] == ["All pictures lack fine detail."]
 
 
+def test_photos_that_counted_little_are_named(dataset):
+    comparisons = [Comparison(ViewScore(view.name, 33.0, 0.9, 33.0), NOISE, NOISE) for view in dataset.test]
+    doubted = {"view03.png": 0.5, "view11.png": 0.02}
+    (complaint,) = verdict_of(dataset, gallery_of(comparisons), doubted=doubted).bad
+    assert complaint.what == "view11.png, view03.png fit none of the other photos."
+    assert "with a weight of 0.02" in complaint.why
+
+
+def test_the_faces_of_a_panorama_are_judged_as_one_photo(dataset):
+    faces = {"view00.png": "a", "view08.png": "a"}
+    whole = tuple(replace(view, face_of=faces.get(view.name)) for view in dataset.test)
+    gallery = gallery_of(
+        Comparison(ViewScore(view.name, psnr, 0.9, psnr), NOISE, NOISE)
+        for view, psnr in zip(whole, [15.0, 15.0, 33.0], strict=True)
+    )
+    in_faces = replace(dataset, test=whole)
+    gallery.join_faces(in_faces.views)
+    verdict = verdict_of(in_faces, gallery)
+    assert [score.name for score in gallery.scores] == ["a", "view16.png"]
+    assert verdict.matched == {"a": False, "view16.png": True}
+    assert verdict.bad[0].what == "a is clearly different from the photo."
+
+
 def test_a_photo_of_another_brightness_is_blamed_on_exposure(dataset):
     verdict = judged(dataset, [21.0, 28.0, 28.0], gain=5.0)
     assert verdict.bad[0].what.startswith("view00.png is clearly different from the photo")

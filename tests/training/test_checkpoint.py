@@ -13,7 +13,7 @@ from scenes import random_gaussians
 from shortened import shortened
 from splatax.errors import FormatError
 from splatax.training import checkpoint
-from splatax.training.camera_refinement import CAMERA_REFINEMENTS
+from splatax.training.camera_refinement import CAMERA_REFINEMENTS, MANY
 from splatax.training.density import NoDensityControl
 from splatax.training.feed import order
 from splatax.training.loop import RunState, first_state, optimize
@@ -99,6 +99,30 @@ def test_every_refinement_of_cameras_comes_back(dataset, name):
     assert jax.tree.structure(back) == jax.tree.structure(train.cameras)
     for a, b in zip(jax.tree.leaves(back), jax.tree.leaves(train.cameras), strict=True):
         assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("name", ["poses", "poses+focal"])
+def test_a_run_that_refines_poses_and_was_stopped_ends_with_the_same_bits(tmp_path, name):
+    """Before all photos were seen, whose places are then not known yet, and after."""
+    many = capture(views=MANY + 2)  # so many that the common part of their twists needs their places
+    recipe = replace(shortened("default"), camera_refinement=CAMERA_REFINEMENTS[name])
+    stops = {}
+    for progress in optimize(many, recipe):
+        if progress.step in (5, 19):
+            stops[progress.step] = checkpoint.take(progress.state, {}, {})
+    whole = checkpoint.take(progress.state, {}, {})
+    assert any(path.endswith("places") and array.any() for path, array in whole.arrays.items())
+    for stop in stops.values():
+        with (tmp_path / "run.npz").open("wb") as file:
+            checkpoint.write(file, stop)
+        for progress in optimize(
+            many, recipe, checkpoint.restore(checkpoint.read(tmp_path / "run.npz"), recipe)
+        ):
+            pass
+        again = checkpoint.take(progress.state, {}, {})
+        assert list(again.arrays) == list(whole.arrays)
+        for path, array in again.arrays.items():
+            assert array.tobytes() == whole.arrays[path].tobytes(), path
 
 
 # --- damage ---

@@ -29,6 +29,7 @@ from splatax.cli.mesh import Mesh
 from splatax.cli.metres import Metres
 from splatax.cli.output import complain, guarded, say
 from splatax.cli.page import Page
+from splatax.cli.paragraphs import in_paragraphs
 from splatax.cli.plan import Plan
 from splatax.cli.platform import keep_compiled_programs, keep_freed_memory
 from splatax.cli.reconstruct import Reconstruct
@@ -94,6 +95,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if given == ["--version"]:
             say(f"splatax {splatax.__version__}")
             return
+        if {"-h", "--help"} & set(given):
+            for options in COMMANDS.values():
+                in_paragraphs(options)
         command = tyro.cli(
             choices(brief=not COMMANDS.keys() & set(given)),
             args=given,

@@ -88,7 +88,7 @@ def views_of(run: FinishedRun, model: Model, scene: Path | None) -> dict[str, sx
     scene = scene or run.scene
     if not scene.exists():
         raise InputError(f"{run.folder}: its capture is no longer at {scene}. Say where it is: --scene.")
-    views = {view.name: view for view in load_scene(scene, None, model).views}
+    views = {view.photo: view for view in load_scene(scene, None, model).standpoints}
     if missing := sorted(run.test_psnr.keys() - views.keys()):
         raise InputError(
             f"{scene}: no photo {missing[0]}, which {run.folder} was tested on. Give the capture as it was: "

@@ -18,6 +18,7 @@ from splatax.cli.reconstruct import FindingCameras, Reconstruct
 from splatax.cli.settings import NAMES, Settings
 from splatax.cli.train import Train
 from splatax.cli.train_options import Limits, Live, Method, Photos, Rerun, Saving
+from splatax.dataset import photos_in
 from splatax.errors import InputError
 from splatax.io.datasets import is_capture
 from splatax.io.datasets.photos import counted
@@ -137,9 +138,11 @@ class Create:
             return trial
         dataset = load_scene(capture, self.limits.downscale)
         if not dataset.test:
-            say(f"{counted(len(dataset.views))} are too few to hold some out, so the scene has no score")
+            say(
+                f"{counted(photos_in(dataset.views))} are too few to hold some out, so the scene has no score"
+            )
             return None
-        unseen = f"{len(dataset.test)} of {counted(len(dataset.views))}"
+        unseen = f"{photos_in(dataset.test)} of {counted(photos_in(dataset.views))}"
         say(f"trial run without {unseen}, which tell how good a scene of these photos is")
         title = f"{self.named()}, trial run"
         replace(run, out=trial, title=title, limits=self.left(began, TRIAL), live=Live()).run()

@@ -127,8 +127,8 @@ class Export:
         """Raises InputError for options that cannot work, before anything is computed."""
         if is_page(self.out):
             web.require_viewer()
-        elif not hasattr(formats.format_of(self.out), "save"):
-            raise InputError(f"{self.out}: can only be read. Write {', '.join(formats.suffixes('save'))}.")
+        elif formats.format_of(self.out) in formats.READ_ONLY:
+            raise InputError(f"{self.out}: can only be read. Write {', '.join(formats.WRITTEN)}.")
         elif self.title is not None or self.background is not None:
             raise InputError(f"--title, --background: of pages alone, and {self.out} is no .html file.")
         if self.out.exists() and not self.overwrite:

@@ -58,7 +58,7 @@ class Film:
             return trajectories.orbit(
                 [trajectories.overview(means, size)], frames, size, np.median(means, axis=0)
             )
-        cameras = [view.camera for view in dataset.views]
+        cameras = [view.camera for view in dataset.standpoints]
         if self.path == "orbit":
             return trajectories.orbit(cameras, frames, size, focus_of(cameras))
         if self.path == "spiral":

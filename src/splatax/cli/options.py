@@ -20,6 +20,7 @@ from splatax.splits import Every, parse_hold_out
 from splatax.training.appearance import APPEARANCES
 from splatax.training.backgrounds import BACKGROUNDS
 from splatax.training.camera_refinement import CAMERA_REFINEMENTS
+from splatax.training.photo_weights import PHOTO_WEIGHTS
 from splatax.training.recipes import PRESETS
 
 Downscale = Literal["auto"] | int
@@ -28,6 +29,7 @@ BackgroundName = Literal[*BACKGROUNDS]  # type: ignore[valid-type]
 AppearanceName = Literal["auto", *APPEARANCES]  # type: ignore[valid-type]
 RefinementName = Literal[*CAMERA_REFINEMENTS]  # type: ignore[valid-type]
 LowPassName = Literal[*LOW_PASSES]  # type: ignore[valid-type]
+PhotoWeightsName = Literal["auto", *PHOTO_WEIGHTS]  # type: ignore[valid-type]
 
 
 OTHER_RULE = Every(first=1)  # of runs of other programs, and of runs from before there was a choice

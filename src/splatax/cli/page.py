@@ -55,8 +55,8 @@ class Page:
         if self.out.exists() and not self.overwrite:
             raise InputError(f"{self.out}: exists. Choose another name, or replace it: --overwrite.")
         model = read_model(self.model, self.low_pass)
-        views = load_scene(self.scene, None, model).views if self.scene else ()
-        cameras = {view.name: view.camera for view in views}
+        views = load_scene(self.scene, None, model).standpoints if self.scene else ()
+        cameras = {view.photo: view.camera for view in views}
         write_page(self.out, model, cameras, self.title, self.background)
 
 

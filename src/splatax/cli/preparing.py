@@ -9,7 +9,7 @@ from splatax.cli.options import flag, load_scene
 from splatax.cli.output import say
 from splatax.cli.settings import Settings
 from splatax.cli.stages import Stages
-from splatax.dataset import View, without
+from splatax.dataset import View, photos_by, photos_in, without
 from splatax.errors import InputError
 from splatax.inspection.decisions import Findings, look_first
 from splatax.io.datasets.photos import counted, listed
@@ -47,8 +47,8 @@ def loaded(settings: Settings, downscale: int | None = None) -> sx.Dataset:
         undistort=settings.undistort,
     )
     if settings.leave_out not in ("auto", "none"):
-        names = [view.name for view in dataset.views]
-        spared = set(Listed(listed_in(settings.leave_out)).of(names)) & {view.name for view in dataset.train}
+        listed_ones = photos_by(Listed(listed_in(settings.leave_out)), dataset.views)
+        spared = listed_ones & {view.photo for view in dataset.train}
         dataset = without(dataset, spared)
         note = f"{counted(len(spared))} left out of training: {listed(sorted(spared))}"
         dataset = replace(dataset, notes=(*dataset.notes, note))
@@ -93,7 +93,7 @@ def prepared(settings: Settings, dataset: sx.Dataset, out: Path) -> tuple[Settin
     findings = look_first(dataset)
     if settings.leave_out == "auto":
         names, lines = spared_by(findings)
-        if len(names) > MOST_LEFT_OUT * len(dataset.train):
+        if len(names) > MOST_LEFT_OUT * photos_in(dataset.train):
             names, lines = [], []
             say(
                 "most photos are blurred or repeat another, so all are used. Leave some out: --leave-out LIST"

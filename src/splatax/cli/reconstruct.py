@@ -52,8 +52,11 @@ class FindingCameras:
     also small features when there are 30 photos or fewer."""
     panoramas: Panoramas = "auto"
     """360-degree photos, among those that are twice as wide as they are high. "auto": photos whose metadata
-    say so (GPano); "all": all of them; "none": none. Poses are found from the faces of a cube, and the scene
-    is trained on the photos as they are."""
+    say so (GPano); "all": all of them; "none": none. They are cut into the faces of a cube, on which the
+    scene is trained."""
+    panorama_lens: Annotated[bool, shown_as()] = False
+    """Keep 360-degree photos as they are, and train through the lens of panoramas, which is slower and gives
+    softer scenes. By default they are cut into faces."""
 
     def check(self) -> None:
         """Raises InputError if a value makes no sense."""
@@ -65,8 +68,9 @@ class FindingCameras:
 class Reconstruct:
     """Estimate the camera poses of photos or of a video, and write a capture to train on.
 
-    Structure from motion by COLMAP, on the CPU. Copies the photos to OUT/images and writes the model, with
-    the lens that was found, to OUT/sparse/0. If interrupted, run the same command again to resume.
+    Structure from motion by COLMAP, on the CPU. Copies the photos to OUT/images, 360-degree photos as the
+    faces of a cube, and writes the model, with the lens that was found, to OUT/sparse/0. If interrupted, run
+    the same command again to resume.
     """
 
     photos: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PHOTOS")]
@@ -76,7 +80,7 @@ class Reconstruct:
     cameras: FindingCameras = FindingCameras()
     undistort: Annotated[bool, shown_as()] = False
     """Resample the photos for pinhole cameras, for programs that know no lenses. By default photos are copied
-    as they are. Not possible for 360-degree photos."""
+    as they are. 360-degree photos become pinhole photos anyway, unless --panorama-lens keeps them."""
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0
     """Random seed."""
     overwrite: OverwriteFlag = False
@@ -96,6 +100,7 @@ class Reconstruct:
                 pairing=PAIRINGS[self.cameras.matching],
                 seed=self.seed,
                 panoramas=self.cameras.panoramas,
+                faces=not self.cameras.panorama_lens,
                 undistort=self.undistort,
                 watch=Forecasting(stages, self.photos, self.cameras),
             )

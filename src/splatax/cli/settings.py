@@ -13,12 +13,14 @@ from splatax.cli.options import (
     Downscale,
     InitName,
     LowPassName,
+    PhotoWeightsName,
     RecipeName,
     RefinementName,
     flag,
     parsed,
     resolve_backend,
 )
+from splatax.dataset import photos_in
 from splatax.errors import InputError
 from splatax.low_pass import LOW_PASSES
 from splatax.runs.budget import parse_bytes, parse_seconds
@@ -28,9 +30,11 @@ from splatax.training.appearance import APPEARANCES
 from splatax.training.backgrounds import BACKGROUNDS
 from splatax.training.camera_refinement import CAMERA_REFINEMENTS
 from splatax.training.geometry import Surfaces
+from splatax.training.photo_weights import PHOTO_WEIGHTS
 from splatax.training.protocols import Initialization
 from splatax.training.recipes import PRESETS, Drawing
 
+FEWEST_TO_WEIGH = 10  # training photos: of fewer, each shows something that no other does
 LOWEST = {
     "steps": 1,
     "views": 1,
@@ -70,6 +74,7 @@ class Settings:
     adjust_poses: bool = False
     poses: Path | None = None  # file of adjusted poses, once they are found
     geometry: bool = False
+    photo_weights: PhotoWeightsName = "auto"
     backend: BackendName = "auto"
     seed: int = 0
     eval_every: int = 0
@@ -132,6 +137,8 @@ class Settings:
         recipe = preset.build(steps=self.steps, max_gaussians=self.most(dataset), views=self.views)
         if self.geometry:
             recipe = replace(recipe, objective=replace(recipe.objective, geometry=Surfaces()))
+        weights = PHOTO_WEIGHTS[self.weighing(dataset)]
+        recipe = replace(recipe, objective=replace(recipe.objective, weights=weights))
         drawing = Drawing(
             background=BACKGROUNDS[self.background] if self.background else recipe.drawing.background,
             low_pass=LOW_PASSES[self.low_pass] if self.low_pass else recipe.drawing.low_pass,
@@ -145,6 +152,17 @@ class Settings:
             drawing=drawing,
             seed=self.seed,
         )
+
+    def weighing(self, dataset: sx.Dataset) -> str:
+        """Returns the name of how photos are weighed: robustly by default, if there are enough of them.
+
+        The opacity resets of `classic` raise the loss of the photos that come next, which then seem to fit
+        badly; only recipes that `plannable` marks have no such steps for sure.
+        """
+        if self.photo_weights != "auto":
+            return self.photo_weights
+        enough = photos_in(dataset.train) >= FEWEST_TO_WEIGH
+        return "robust" if enough and PRESETS[self.recipe].plannable else "equal"
 
     def initialization(self) -> Initialization:
         """Returns how the first Gaussians are created."""

@@ -20,7 +20,7 @@ from splatax.cli.preparing import loaded, planned, prepared
 from splatax.cli.settings import NAMES, Settings, as_started
 from splatax.cli.train_options import Devices, Limits, Live, Method, Photos, Rerun, Saving
 from splatax.cli.view import audience
-from splatax.dataset import Dataset
+from splatax.dataset import Dataset, photos_in
 from splatax.errors import InputError
 from splatax.io.datasets.colmap_writing import PLACE
 from splatax.io.datasets.photos import counted
@@ -248,7 +248,8 @@ def with_steps(settings: Settings, dataset: Dataset) -> Settings:
     """Returns settings with a number of steps that follows the number of photos, and prints it if it does."""
     steps = steps_for(dataset)
     if steps > settings.steps:
-        each = f"{steps // len(dataset.train)} for each of {counted(len(dataset.train))}"
+        count = photos_in(dataset.train)
+        each = f"{steps // count} for each of {counted(count)}"
         say(f"{steps:,} steps, {each}. Choose another number: --steps")
     return replace(settings, steps=steps)
 
@@ -285,6 +286,11 @@ def write(results: Results, checkpoints: Checkpoints) -> None:
         say(
             f"{history.bad_steps:,} steps had no finite loss and changed nothing; {history.broken:,} "
             "Gaussians that were not finite were removed"
+        )
+    for name, weight in results.doubted.items():
+        say(
+            f"{name} fits none of the other photos, so it counted with a weight of {weight:.2g} at the end. "
+            "Count all alike: --photo-weights equal"
         )
     if scores:
         corrected = f" ({scores.corrected_psnr:.2f} dB colour-corrected)" if results.compensates else ""

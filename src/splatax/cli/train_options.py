@@ -14,6 +14,7 @@ from splatax.cli.options import (
     HoldOutOption,
     InitName,
     LowPassName,
+    PhotoWeightsName,
     RecipeName,
     RefinementName,
     shown_as,
@@ -131,6 +132,10 @@ class Method:
     """Make the Gaussians lie on surfaces, for accurate depth, normals and meshes. Adds penalties on the
     spread of depth along each ray, and on depths that differ from those of the capture's own points or depth
     maps. Training takes about twice as long, and PSNR is 0.6 to 0.8 dB lower. By default off."""
+    photo_weights: Annotated[PhotoWeightsName | None, shown_as()] = None
+    """Weights of photos in training. "robust": photos whose error stays far above that of the others after a
+    third of the run count less, because their pose is wrong or they show something else; "equal": all count
+    alike. By default "auto": robust for the recipe "default" from 10 training photos on, else equal."""
     backend: Annotated[BackendName | None, shown_as()] = None
     """Rasterizer. If the named one is unavailable, the command fails instead of falling back. By default
     "auto": the fastest one available."""

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from splatax.cameras import Camera
 from splatax.cameras.geometry import seen_at
-from splatax.dataset import Dataset, Pixels, View
+from splatax.dataset import Dataset, Pixels, View, by_photo, photos_in
 from splatax.errors import InputError
 from splatax.inspection.looks import (
     LONGEST_SIDE,
@@ -91,9 +91,9 @@ def look_first(dataset: Dataset) -> Findings:
     training = {view.name for view in dataset.train}
     return Findings(
         blurred_of([sight for sight in sights if sight.view.name in training]),
-        repeated_of(sights, training, dataset.extent),
+        repeated_photos(sights, repeated_of(sights, training, dataset.extent)),
         exposure_of([sight.samples for sight in sights]),
-        len(sights),
+        photos_in(sight.view for sight in sights),
     )
 
 
@@ -169,12 +169,14 @@ def exposure_of(samples: Sequence[Float[np.ndarray, " n"]]) -> float | None:
 
 def blurred_of(sights: Sequence[Sight]) -> tuple[str, ...]:
     """Returns the photos that are much less sharp than the others, if there are enough others."""
-    if len(sights) <= FEW:
+    # A face of a 360-degree photo may show nothing but a ceiling: its sharpness is the mean of its faces.
+    looks = by_photo((s.view for s in sights), {s.view.name: s.look.sharpness for s in sights})
+    if len(looks) <= FEW:
         return ()
-    sharpness = np.log([max(sight.look.sharpness, 1e-3) for sight in sights])
+    names, sharpness = list(looks), np.log([max(float(np.mean(each)), 1e-3) for each in looks.values()])
     scores = robust_scores(sharpness, LEAST_SHARPNESS)
-    found = [sights[i].view.name for i in np.argsort(scores) if scores[i] < -OUTLIER]
-    return tuple(sorted(found[: int(LARGEST_FRACTION * len(sights))]))
+    found = [names[i] for i in np.argsort(scores) if scores[i] < -OUTLIER]
+    return tuple(sorted(found[: int(LARGEST_FRACTION * len(names))]))
 
 
 def repeated_of(sights: Sequence[Sight], training: set[str], extent: float) -> dict[str, str]:
@@ -191,6 +193,18 @@ def repeated_of(sights: Sequence[Sight], training: set[str], extent: float) -> d
         else:
             repeated[sight.view.name] = same.view.name
     return repeated
+
+
+def repeated_photos(sights: Sequence[Sight], repeated: dict[str, str]) -> dict[str, str]:
+    """Returns the photos that repeat others, by name: 360-degree photos of which all faces do.
+
+    Args:
+        sights: of all views.
+        repeated: views that repeat another, by name, with that one's name.
+    """
+    photo_of = {sight.view.name: sight.view.photo for sight in sights}
+    others = by_photo((sight.view for sight in sights), {name: repeated.get(name) for name in photo_of})
+    return {photo: photo_of[each[0]] for photo, each in others.items() if each[0] and None not in each}
 
 
 def are_same(one: Sight, other: Sight, extent: float) -> bool:

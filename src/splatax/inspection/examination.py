@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from splatax.cameras.lenses import Equirectangular
-from splatax.dataset import Dataset, View, mask_of
+from splatax.dataset import Dataset, View, by_photo, mask_of
 from splatax.errors import DatasetError
-from splatax.inspection.looks import Look, looks_of
+from splatax.inspection.looks import Look, joined, looks_of
 from splatax.io import images
 from splatax.reconstruction.photos import Photo, photo_of
 from splatax.runs import forecast
@@ -53,7 +53,8 @@ class Examination:
 
     @property
     def views(self) -> tuple[View, ...]:
-        return self.dataset.views if self.dataset else ()
+        """One view of each photo with a pose."""
+        return self.dataset.standpoints if self.dataset else ()
 
 
 def examine(path: Path, dataset: Dataset | None) -> Examination:
@@ -74,7 +75,7 @@ def examine(path: Path, dataset: Dataset | None) -> Examination:
             panoramas=tuple(photo.name for photo in headers if photo.panorama),
             wide=tuple(photo.name for photo in headers if photo.wide),
         )
-    survey = dataset.survey
+    survey, around = dataset.survey, [view for view in dataset.views if whole_sphere(view)]
     masked = [view for view in dataset.views if view.mask]
     coverage = {}
     for view in masked[:: -(-len(masked) // MASKS) or 1]:
@@ -86,15 +87,26 @@ def examine(path: Path, dataset: Dataset | None) -> Examination:
     return Examination(
         path,
         dataset,
-        survey.files,
-        looks_of(survey.files, LOOKING),
-        {name: float(np.median(errors)) for name, errors in survey.errors.items()},
-        tuple(view.name for view in dataset.views if isinstance(view.camera.lens, Equirectangular)),
+        {view.photo: survey.files[view.name] for view in dataset.standpoints if view.name in survey.files},
+        {
+            name: looks[0] if len(looks) == 1 else joined(looks)
+            for name, looks in by_photo(dataset.views, looks_of(survey.files, LOOKING)).items()
+        },
+        {
+            name: float(np.median(np.concatenate(errors)))
+            for name, errors in by_photo(dataset.views, survey.errors).items()
+        },
+        tuple(dict.fromkeys(view.photo for view in around)),
         coverage=coverage,
         gaussians=gaussians,
         memory=forecast.memory(gaussians, width, height, round(in_memory)),
         available=available_memory(),
     )
+
+
+def whole_sphere(view: View) -> bool:
+    """Returns whether a view is a 360-degree photo or a face of one."""
+    return view.face_of is not None or isinstance(view.camera.lens, Equirectangular)
 
 
 def header_of(name: str, file: Path) -> Photo | None:

@@ -2,7 +2,7 @@
 
 import io
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,13 +13,13 @@ from jaxtyping import Float
 from splatax.dataset import Pixels
 from splatax.errors import InputError
 from splatax.io import images
+from splatax.math.robust import MAD_TO_SIGMA
 
 LONGEST_SIDE = 1000  # pixels of the size at which sharpness is measured
 THUMBNAIL_SIDE = 240  # pixels
 WORKERS = 4
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # weights of encoded RGB (Rec. 709)
 CLIPPED = 250  # level, of 255, from which a pixel counts as white
-MAD_TO_SIGMA = 1.4826  # for a normal distribution
 
 
 @dataclass(frozen=True)
@@ -73,6 +73,23 @@ def look(path: Path) -> Look:
         return replace(look_of(photo), thumbnail=thumbnail(photo))
     except (InputError, OSError) as error:
         return Look(unreadable=str(error))
+
+
+def joined(faces: Sequence[Look]) -> Look:
+    """Returns the look of a 360-degree photo from those of its faces, with their thumbnails in two rows."""
+    from PIL import Image
+
+    readable = [face for face in faces if not face.unreadable]
+    if len(readable) < len(faces):
+        return next(face for face in faces if face.unreadable)
+    pictures = [Image.open(io.BytesIO(face.thumbnail)) for face in readable if face.thumbnail]
+    columns, side = -(-len(pictures) // 2), THUMBNAIL_SIDE // 2
+    sheet = Image.new("RGB", (max(columns, 1) * side, 2 * side))
+    for number, picture in enumerate(pictures):
+        sheet.paste(picture.resize((side, side)), (number % columns * side, number // columns * side))
+    luminance, clipped, sharp = np.mean([(f.luminance, f.clipped, f.sharpness) for f in readable], axis=0)
+    small = thumbnail(np.asarray(sheet)) if pictures else b""
+    return Look(float(luminance), float(clipped), float(sharp), small)
 
 
 def thumbnail(pixels: Pixels) -> bytes:

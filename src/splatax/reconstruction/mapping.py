@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from splatax.reconstruction.pairs import Pairing
-from splatax.reconstruction.panoramas import FACES, Face, focal_of_faces
+from splatax.reconstruction.panoramas import FACES, SEARCHED, Face, focal_of_faces
 
 if TYPE_CHECKING:
     import pycolmap
@@ -114,7 +114,7 @@ def write_rig(database: "pycolmap.Database", group: Sequence[Sequence[Entry]]) -
         return database.write_rig(rig), [camera.camera_id]
     (size, _), middle = group[0][0].size, group[0][0].size[0] / 2
     for face in FACES:
-        params = [focal_of_faces(size), middle, middle]
+        params = [focal_of_faces(size, SEARCHED), middle, middle]
         camera = pycolmap.Camera(model="SIMPLE_PINHOLE", width=size, height=size, params=params)
         camera.has_prior_focal_length = True
         camera = database.read_camera(database.write_camera(camera))

@@ -12,7 +12,7 @@ from splatax.packages import required_by
 from splatax.reconstruction import diagnosis, mapping
 from splatax.reconstruction.mapping import Entry, Features
 from splatax.reconstruction.pairs import Exhaustive, Pairing, Sequential, Similar
-from splatax.reconstruction.panoramas import FACES, Panoramas, cut, size_of_faces
+from splatax.reconstruction.panoramas import FACES, SEARCHED, Panoramas, faces_of, size_of_faces
 from splatax.reconstruction.photos import Photo, photos_in, read, save
 from splatax.reconstruction.video import is_video, pick_frames
 from splatax.reconstruction.work import (
@@ -23,7 +23,7 @@ from splatax.reconstruction.work import (
     refuse_overlap,
     take_back_results,
 )
-from splatax.reconstruction.writing import write_capture
+from splatax.reconstruction.writing import Ways, write_capture
 from splatax.resampling import resize
 
 FEW = 80  # photos up to which every pair is matched
@@ -66,6 +66,7 @@ def reconstruct(
     pairing: Pairing | None = None,
     seed: int = 0,
     panoramas: Panoramas = "auto",
+    faces: bool = True,
     undistort: bool = False,
     watch: Watch = lambda stage, done, total: None,
 ) -> Outcome:
@@ -84,13 +85,15 @@ def reconstruct(
         seed: random seed.
         panoramas: which of the photos that are twice as wide as high show 360 degrees: those whose metadata
             say so ("auto"), "all", or "none".
-        undistort: resamples the written photos for pinhole cameras, for programs that know no other.
+        faces: writes 360-degree photos as the faces of a cube, pinhole photos of 90 degrees. Otherwise they
+            are copied, and the model has the lens of panoramas.
+        undistort: resamples the other photos for pinhole cameras, for programs that know no other.
             Otherwise photos are copied, and the model has their lens.
         watch: function that is called with the progress of each of `STAGES`.
 
     Raises:
         InputError: if the output folder holds something else, a package to read the input is missing, or
-            panoramas are to be undistorted.
+            panoramas are to be copied and undistorted.
         DatasetError: if there are no photos, or too few of them fit together.
     """
     import pycolmap
@@ -106,13 +109,14 @@ def reconstruct(
         )
     asked = asdict(features) if features else "auto"
     settings = {"source": str(source.resolve()), "frames": frames, "features": asked, "seed": seed}
-    settings |= {"panoramas": panoramas, "undistort": undistort}
+    settings |= {"panoramas": panoramas, "faces": faces, "undistort": undistort}
     prepare(work, settings | {"photos": fingerprint(source)})
     found, rejected = gather(source, work, frames, panoramas, partial(watch, "reading"))
-    if undistort and (around := sum(photo.panorama for photo in found)):
+    if undistort and not faces and (around := sum(photo.panorama for photo in found)):
         raise InputError(
-            f"{source}: {counted(around)} of 360 degrees, which no pinhole camera can show. Use photos as "
-            "they are, without undistorting them.",
+            f"{source}: {counted(around)} of 360 degrees, which no pinhole camera can show. Cut them into "
+            "faces, or use photos as they are, without undistorting them.",
+            options=("panorama_lens", "undistort"),
         )
     features = features or features_for(len(found))
     photos, damaged = shrink(found, work / "photos", features.longest_side, partial(watch, "reading"))
@@ -145,7 +149,8 @@ def reconstruct(
             options=("panoramas all",) if 2 * wide > count else (),
         )
     registered = {photos[parts[0].image(i).name] for i in parts[0].reg_image_ids()}
-    capture = write_capture(parts[0], photos, work / "capture", partial(watch, "writing"), undistort)
+    ways = Ways(faces, undistort)
+    capture = write_capture(parts[0], photos, work / "capture", partial(watch, "writing"), ways)
     for name in reversed(RESULTS):
         (work / "capture" / name).rename(out / name)
     outcome = Outcome(
@@ -189,8 +194,8 @@ def shrink(
         try:
             if not all((folder / name).exists() for name in wanted):
                 pixels, size = read(photo), shrunk_size(photo, longest_side)
-                for face, name in enumerate(wanted):
-                    small = cut(pixels, FACES[face], size[0]) if photo.panorama else resize(pixels, *size)
+                cut = faces_of(pixels, size[0], SEARCHED) if photo.panorama else [resize(pixels, *size)]
+                for name, small in zip(wanted, cut, strict=True):
                     save(folder / f"{name}.part", small)
                     (folder / f"{name}.part").rename(folder / name)
             shrunk |= dict.fromkeys(wanted, photo)
@@ -208,7 +213,7 @@ def names_of(number: int, photo: Photo) -> list[str]:
 def shrunk_size(photo: Photo, longest_side: int) -> tuple[int, int]:
     """Returns the width and height of a photo's pictures for feature extraction."""
     if photo.panorama:
-        size = size_of_faces(photo.size[0], longest_side)
+        size = min(size_of_faces(photo.size[0], SEARCHED), longest_side)
         return size, size
     factor = min(1.0, longest_side / max(photo.size))
     width, height = (max(1, round(side * factor)) for side in photo.size)

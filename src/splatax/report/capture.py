@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from splatax.dataset import photos_in
 from splatax.inspection import Examination, Problem
 from splatax.inspection.looks import Look
 from splatax.io.datasets.photos import counted, sizes_of
@@ -24,7 +25,7 @@ def facts_of(found: Examination) -> list[tuple[str, str]]:
         facts.append(("photos", f"{len(found.photos)}, without poses"))
     else:
         unused = len(found.dataset.survey.unused)
-        held_out = len(found.dataset.test)
+        held_out = photos_in(found.dataset.test)
         facts.append(("photos", f"{len(found.views) + unused}, of which {len(found.views)} have a pose"))
         facts.append(("held out", f"{held_out} for testing"))
         facts.append(("size", f"{sizes_of(list(found.views))} as trained"))
@@ -34,7 +35,10 @@ def facts_of(found: Examination) -> list[tuple[str, str]]:
             facts.append(("lens", f"and {len(lenses) - LENSES} more"))
         facts.append(("points", f"{len(found.dataset.points):,}"))
     if found.panoramas:
-        facts.append(("360 degrees", f"{counted(len(found.panoramas))}, equirectangular"))
+        views = found.dataset.views if found.dataset else ()
+        faces = sum(view.face_of is not None for view in views)
+        kind = f"in {faces} faces" if faces else "equirectangular"
+        facts.append(("360 degrees", f"{counted(len(found.panoramas))}, {kind}"))
     if found.errors:
         middle, worst = (
             np.median(list(found.errors.values())),

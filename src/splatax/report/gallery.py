@@ -1,11 +1,13 @@
 """The views of a run as they are scored one after another, and the pictures of the worst for its report."""
 
 import heapq
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from splatax.evaluation import ViewScore
+from splatax.dataset import View, by_photo
+from splatax.evaluation import ViewScore, scores_of
 from splatax.inspection.looks import LUMINANCE, sharpness
 from splatax.report.pictures import data_uri, error_map
 from splatax.runs.history import Picture, shrunk
@@ -81,6 +83,18 @@ class Gallery:
             heapq.heappush(self._worst, (*rank, exhibit))
             if len(self._worst) > self._most:
                 heapq.heappop(self._worst)
+
+    def join_faces(self, views: Sequence[View]) -> None:
+        """Replaces the scores of the faces of a 360-degree photo by its own, once all views have been seen.
+
+        Pictures stay those of faces.
+
+        Args:
+            views: all views of the capture.
+        """
+        self.scores = list(scores_of(views, self.scores).views)
+        looks = by_photo(views, self.sharpness)
+        self.sharpness = {photo: float(np.mean(each)) for photo, each in looks.items()}
 
     @property
     def worst(self) -> list[Exhibit]:

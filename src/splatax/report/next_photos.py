@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from splatax.cameras import rig
-from splatax.dataset import Dataset
+from splatax.dataset import Dataset, by_photo
 
 LARGE, LARGEST = 2.5, 120.0  # a gap: times the median step around the subject; degrees, beyond it is a choice
 LEAST = 20.0  # degrees that a gap has at least
@@ -42,7 +42,7 @@ def spots_of(dataset: Dataset, bad: Sequence[str]) -> list[Spot]:
         dataset: the capture.
         bad: names of photos that the scene matches badly.
     """
-    cameras = {view.name: view.camera for view in dataset.views}
+    cameras = {view.photo: view.camera for view in dataset.standpoints}
     spots = _gaps(dataset) if len(cameras) > 4 else []
     apart = spacings(dataset) if bad else {}
     for name in bad:
@@ -74,12 +74,15 @@ def spacings(dataset: Dataset) -> dict[str, float]:
         own = np.flatnonzero(trained)[None] == np.arange(start, start + len(apart))[:, None]
         nearest[rows] = np.where(own, np.inf, apart).min(axis=1)
     usual = float(np.median(nearest[trained]))
-    return {view.name: float(nearest[i] / usual) for i, view in enumerate(views)} if usual > 0 else {}
+    if usual <= 0:
+        return {}
+    apart_of = by_photo(views, {view.name: float(nearest[i] / usual) for i, view in enumerate(views)})
+    return {photo: min(each) for photo, each in apart_of.items()}
 
 
 def _gaps(dataset: Dataset) -> list[Spot]:
     """Returns the middles of gaps around the point that the cameras look at, the widest first."""
-    cameras = [view.camera for view in dataset.views]
+    cameras = [view.camera for view in dataset.standpoints]
     focus = rig.focus_of(cameras)
     if focus is None:
         return []

@@ -30,7 +30,7 @@ def plan(dataset: Dataset) -> str:
     positions, axes = directions(dataset)
     chosen = np.random.default_rng(0).permutation(len(dataset.points))[:MOST_POINTS]
     cloud, colors = dataset.points.positions[chosen], dataset.points.colors[chosen]
-    tested = np.array([view in dataset.test for view in dataset.views])
+    tested = np.array([view in dataset.test for view in dataset.standpoints])
     figure = Figure(figsize=(11, 5.2), layout="constrained", dpi=DPI)
     FigureCanvasAgg(figure)
     for panel, (title, across, upward) in zip(
@@ -81,7 +81,7 @@ def places(dataset: Dataset, good: Mapping[str, bool], spots: Sequence[Spot]) ->
         cloud @ ground[0], cloud @ ground[1], c=np.clip(colors, 0, 1), s=1.5, linewidths=0, alpha=0.4
     )
     looking = axes[:, 2] @ ground.T * half * ARROW
-    states = [good.get(view.name) for view in dataset.views]
+    states = [good.get(view.photo) for view in dataset.standpoints]
     for state, color, label in (
         (None, UNSCORED, "photo"),
         (True, MATCHED, "like the others"),
@@ -115,8 +115,8 @@ QUIVER: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1}
 
 
 def directions(dataset: Dataset) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 3"]]:
-    """Positions of all cameras, and their axes right, down and forward, as rows."""
-    cameras = [view.camera for view in dataset.views]
+    """Positions of the cameras of all photos, and their axes right, down and forward, as rows."""
+    cameras = [view.camera for view in dataset.standpoints]
     positions = np.stack([np.asarray(camera.position, np.float64) for camera in cameras])
     return positions, np.stack([np.asarray(camera.rotation, np.float64) for camera in cameras])
 

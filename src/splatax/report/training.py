@@ -3,6 +3,7 @@
 import os
 from collections.abc import Mapping
 
+from splatax.dataset import photos_in
 from splatax.evaluation import Scores, ViewScore
 from splatax.report.gallery import Gallery
 from splatax.report.page import Account, report
@@ -28,9 +29,10 @@ class Pages:
     def files(self, results: Results) -> Mapping[str, bytes]:
         """Returns the animation and the report by the names of their files, the report last."""
         gallery = self._gallery
+        gallery.join_faces(results.dataset.views)
         gif = animation(results.history.frames) if results.history.frames else b""
         facts = summary(results, Scores(tuple(gallery.scores)))
-        verdict = verdict_of(results.dataset, gallery, trial_of(results))
+        verdict = verdict_of(results.dataset, gallery, trial_of(results), results.doubted)
         picture = places(results.dataset, verdict.matched, verdict.spots) if verdict else ""
         account = Account(facts, notes(results), verdict, picture)
         page = report(results.title, account, results.history, gallery, gif)
@@ -97,7 +99,7 @@ def notes(results: Results) -> list[str]:
     """Returns lines about the capture, and about what the scores mean."""
     if results.dataset.test:
         return list(results.dataset.notes)
-    every, judge = len(results.dataset.train), results.judge
+    every, judge = photos_in(results.dataset.train), results.judge
     trained = f"The scene was trained on all {every} photos"
     if judge is None:
         meaning = f"{trained}, so none of them can tell how it looks from elsewhere."

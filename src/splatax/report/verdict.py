@@ -3,10 +3,11 @@
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 
-from splatax.dataset import Dataset
+from splatax.dataset import Dataset, by_photo, photos_in
 from splatax.evaluation import ViewScore
 from splatax.inspection.looks import robust_scores
 from splatax.inspection.problems import LEAST_SHARPNESS, OUTLIER, TWICE
@@ -60,13 +61,19 @@ class Verdict:
     matched: dict[str, bool] = field(default_factory=dict)
 
 
-def verdict_of(dataset: Dataset, gallery: Gallery, trial: Sequence[ViewScore] = ()) -> Verdict | None:
+def verdict_of(
+    dataset: Dataset,
+    gallery: Gallery,
+    trial: Sequence[ViewScore] = (),
+    doubted: Mapping[str, float] = MappingProxyType({}),
+) -> Verdict | None:
     """Judges a run by its held-out photos, else by those of its trial run; None if it has no pictures.
 
     Args:
         dataset: the capture.
         gallery: the held-out views, or training views where none are held out.
         trial: scores of photos that another run held out, for a run that holds out none.
+        doubted: weights of the training photos that counted less than others, by name.
     """
     scores = trial or gallery.scores
     unseen = bool(trial or dataset.test)
@@ -77,6 +84,7 @@ def verdict_of(dataset: Dataset, gallery: Gallery, trial: Sequence[ViewScore] = 
     spots = spots_of(dataset, [name for name, good in matched.items() if not good])
     complaints = [
         *_unseen_photos(unseen),
+        *_doubted(doubted),
         *_bad_photos(dataset, scores, Gallery() if trial else gallery),  # the trial's pictures are not kept
         *_evenly_poor(psnrs),
         *_number(dataset),
@@ -131,6 +139,21 @@ def _unseen_photos(unseen: bool) -> list[Complaint]:
     ]
 
 
+def _doubted(weights: Mapping[str, float]) -> list[Complaint]:
+    if not weights:
+        return []
+    verb = "fits" if len(weights) == 1 else "fit"
+    return [
+        Complaint(
+            f"{listed(sorted(weights, key=weights.__getitem__))} {verb} none of the other photos.",
+            "The error stayed far above that of the other photos while the scene was trained, so it counted "
+            f"little: with a weight of {min(weights.values()):.2g} at the end, where 1 is usual.",
+            "Look whether the pose is wrong, or something stood in front of the camera, and leave the photo "
+            "out. If it is right, count all photos alike (photo_weights equal).",
+        )
+    ]
+
+
 @dataclass(frozen=True)
 class _Known:
     """What is known about the photos of a run.
@@ -161,11 +184,16 @@ def _bad_photos(dataset: Dataset, scores: Sequence[ViewScore], gallery: Gallery)
     worst_first = [score for score in sorted(scores, key=lambda score: score.psnr) if score.psnr < bar]
     if not worst_first:
         return []
+    photo_of = {view.name: view.photo for view in dataset.views}
+    errors = {name: values for name, values in dataset.survey.errors.items() if len(values)}
     known = _Known(
         bar,
-        {name: float(np.median(values)) for name, values in dataset.survey.errors.items() if len(values)},
+        {
+            name: float(np.median(np.concatenate(values)))
+            for name, values in by_photo(dataset.views, errors).items()
+        },
         spacings(dataset),
-        {exhibit.score.name: exhibit for exhibit in gallery.worst},
+        {photo_of.get(each.score.name, each.score.name): each for each in reversed(gallery.worst)},
         _blurred(gallery.sharpness),
     )
     causes: dict[tuple[str, str], list[ViewScore]] = {}
@@ -241,7 +269,7 @@ def _evenly_poor(psnrs: np.ndarray) -> list[Complaint]:
 
 
 def _number(dataset: Dataset) -> list[Complaint]:
-    count = len(dataset.views)
+    count = photos_in(dataset.views)
     if count >= FEW:
         return []
     return [

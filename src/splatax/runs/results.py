@@ -14,7 +14,7 @@ from splatax.adjustment import PROTOCOL as ADJUSTED_PROTOCOL
 from splatax.adjustment import AdjustedScores, evaluate_adjusted
 from splatax.dataset import Dataset, Mask, View
 from splatax.errors import InputError
-from splatax.evaluation import PROTOCOL, Scores, ViewScore, compared
+from splatax.evaluation import PROTOCOL, Scores, ViewScore, compared, scores_of
 from splatax.gaussians import Gaussians
 from splatax.geometry_scores import as_json as as_json_of_geometry
 from splatax.geometry_scores import evaluate_geometry
@@ -94,6 +94,20 @@ class Results:
             return None
         return evaluate_adjusted(self.gaussians, self.dataset.test, renderer=self.recipe.renderer)
 
+    @cached_property
+    def doubted(self) -> dict[str, float]:
+        """Weights at the end of the photos that counted less than others, by name."""
+        photos = dict.fromkeys(view.photo for view in self.dataset.train)
+        state = self.last.train
+        weights = self.recipe.objective.weights.of_photos(
+            state.weights, len(photos), state.step / state.total
+        )
+        return {
+            name: float(weight)
+            for name, weight in zip(photos, np.asarray(weights), strict=False)
+            if weight < 1
+        }
+
     @property
     def compensates(self) -> bool:
         """True if the exposure of each training photo was learned, so held-out ones may differ in theirs."""
@@ -117,7 +131,7 @@ class Results:
         for comparison in self._comparisons(self.dataset.test or examples(self.dataset.train)):
             scores.append(comparison.score)
             audience.see(comparison)
-        test = Scores(tuple(scores)) if self.dataset.test else None
+        test = scores_of(self.dataset.test, scores) if self.dataset.test else None
         if test:
             self.history.evaluations.append(Evaluation(self.history.steps, self.history.train_seconds, test))
         write_json(self.out / "metrics.json", self.metrics(test) | {"geometry": self.geometry()})
@@ -138,6 +152,7 @@ class Results:
             "gaussians": len(self.gaussians),
             "bad_steps": self.history.bad_steps,
             "broken_gaussians": self.history.broken,
+            "photo_weights": self.doubted,
             "final_loss": float(self.history.losses[-1]),
             "peak_rss_bytes": peak_memory(),
             "evaluations": [

@@ -27,7 +27,12 @@ from splatax.training.step import TrainState
 
 HEADER = "header"  # name of the member that holds it
 STATE = "state/"  # prefix of the names of the arrays of the state
-PER_PHOTO = ("appearance/values", "cameras/values", "cameras/0/values")  # arrays with a row per photo
+PER_PHOTO = (  # arrays with a row per photo
+    "appearance/values",
+    "cameras/values",
+    "cameras/0/values",
+    "weights/ratios",
+)
 
 
 @dataclass(frozen=True)

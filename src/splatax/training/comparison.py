@@ -19,7 +19,7 @@ from splatax.splats import Splats
 from splatax.training.devices import BLOCK, exchange, exchange_back, from_all_views, own_views, sum_in_order
 from splatax.training.protocols import Source
 from splatax.training.recipes import Recipe
-from splatax.training.step import Shown, Target, TrainState, image_loss, shown
+from splatax.training.step import Shown, Target, TrainState, shown, weighted_loss
 
 
 @jax.tree_util.register_dataclass
@@ -49,7 +49,7 @@ class Differences:
     """Gradients of the losses of a step's views.
 
     Attributes:
-        gaussians: of the mean loss, own rows.
+        gaussians: of the mean loss, own rows, each photo with its weight.
         splats: of each view's own loss, own rows.
         appearance: of each view's own loss, all views.
         camera: of the mean loss, all views.
@@ -74,15 +74,21 @@ def compare_views(
     cameras = corrected(corrections, views.camera, state.extent)
     appearances = _for_photos(recipe.appearance, state.appearance, views.source)
     backgrounds = jax.vmap(recipe.drawing.background.sample)(jax.random.split(key, count))
-    appearances, backgrounds, cameras = jax.tree.map(own_views, (appearances, backgrounds, cameras))
+    weight = partial(recipe.objective.weights.of_photo, state.weights, progress=state.step / state.total)
+    weights = jax.vmap(lambda photo: jnp.float32(1) * weight(photo))(views.source.view)
+    appearances, backgrounds, cameras, weights = jax.tree.map(
+        own_views, (appearances, backgrounds, cameras, weights)
+    )
 
     def draw(here):
         view, appearance, target = here
-        return jax.value_and_grad(image_loss, argnums=(0, 1))(view, appearance, target, recipe)
+        return jax.value_and_grad(weighted_loss, argnums=(0, 1), has_aux=True)(
+            view, appearance, target, recipe
+        )
 
     progress = jnp.full(views.photo.shape[0], state.step / state.total)
-    targets = Target(views.photo, views.mask, views.landmarks, backgrounds, cameras, progress)
-    losses, (d_arrived, d_appearances) = lax.map(draw, (_to_drawers(view), appearances, targets))
+    targets = Target(views.photo, views.mask, views.landmarks, backgrounds, cameras, progress, weights)
+    (_, losses), (d_arrived, d_appearances) = lax.map(draw, (_to_drawers(view), appearances, targets))
     d_view = _to_owners(d_arrived)
     d_gaussians, d_corrections = pull_back(jax.tree.map(lambda leaf: leaf / count, d_view))
     losses, d_appearances = jax.tree.map(from_all_views, (losses, d_appearances))

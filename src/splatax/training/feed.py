@@ -123,18 +123,28 @@ def landmarks_of(views: Sequence[View]) -> Float[np.ndarray, "views k 3"] | None
 
 
 def sources(views: Sequence[View]) -> list[Source]:
-    """Returns the source of each view. Two photos have the same lens if all but their poses is equal."""
+    """Returns the source of each view. Two photos have the same lens if all but their poses is equal.
+
+    Faces of a 360-degree photo are one photo: they share its exposure and the corrections of its pose.
+    """
     lenses: dict[Hashable, int] = {}
+    photos: dict[str, int] = {}
     found = []
-    for index, view in enumerate(views):
+    for view in views:
         camera = view.camera
         numbers, kind = jax.tree.flatten((camera.focal, camera.center, camera.lens))
         key = (kind, camera.width, camera.height, *(np.asarray(number).tobytes() for number in numbers))
         pixel = 1 / np.mean(np.asarray(camera.focal, np.float64))
         lens = np.int32(lenses.setdefault(key, len(lenses)))
         place = np.asarray(camera.position, np.float32)
-        found.append(Source(np.int32(index), lens, np.float32(pixel), place))
+        photo = np.int32(photos.setdefault(view.photo, len(photos)))
+        found.append(Source(photo, lens, np.float32(pixel), place))
     return found
+
+
+def rows_for(views: Sequence[View]) -> int:
+    """Returns the number of rows of tables that have one for each photo, or for each lens."""
+    return max(int(max(source.view, source.lens)) for source in sources(views)) + 1
 
 
 def order(views: int, seed: int, epoch: int) -> Iterator[int]:

@@ -14,6 +14,7 @@ from splatax.errors import DatasetError
 from splatax.gaussians import Gaussians
 from splatax.low_pass import LowPass
 from splatax.training.capacity import bucket_for, pad, without_broken
+from splatax.training.feed import rows_for
 from splatax.training.initialize import require_visible
 from splatax.training.optimizer import inherit
 from splatax.training.recipes import Recipe
@@ -129,7 +130,8 @@ def optimize(
         gaussians = recipe.initialization(dataset, recipe.sh.degree, recipe.seed)
         require_visible(gaussians, dataset)
         padded = pad(gaussians, bucket_for(len(gaussians)))
-        start = RunState(first_state(padded, recipe, dataset.extent, len(dataset.train)), len(gaussians))
+        state = first_state(padded, recipe, dataset.extent, rows_for(dataset.train))
+        start = RunState(state, len(gaussians))
     stepper = stepper_for(recipe, devices)
     yield from _steps(dataset, recipe, start, pace or (lambda step: None), photo_room, stepper)
 
@@ -152,6 +154,7 @@ def first_state(gaussians: Gaussians, recipe: Recipe, extent: float, photos: int
         density_state=recipe.density.init(len(gaussians)),
         appearance=recipe.appearance.init(photos),
         cameras=recipe.camera_refinement.init(photos),
+        weights=recipe.objective.weights.init(photos),
         key=key,
         extent=jnp.float32(extent),
         faults=Faults(jnp.int32(0), jnp.int32(0)),

@@ -56,6 +56,39 @@ class Prior(Hashable, Protocol):
 
 
 @runtime_checkable
+class PhotoWeights(Hashable, Protocol):
+    """Weighs the training photos in the loss."""
+
+    def init(self, photos: int) -> Any:
+        """Returns the state before the first step, for this many training photos."""
+        ...
+
+    def of_photos(self, state: Any, photos: int, progress: Float[Array, ""]) -> Float[Array, " photos"]:
+        """Returns the weights of all training photos.
+
+        Args:
+            state: after the last step.
+            photos: their number.
+            progress: fraction of the run that is done, 0 to 1.
+        """
+        ...
+
+    def of_photo(self, state: Any, photo: Int[Array, ""], progress: Float[Array, ""]) -> Any:
+        """Returns the weight of one photo, given its index: a scalar, or 1.0. Runs under `jit`."""
+        ...
+
+    def update(self, state: Any, photo: Int[Array, ""], loss: Float[Array, ""]) -> Any:
+        """Returns the state after a step on one photo. Runs under `jit`.
+
+        Args:
+            state: before the step.
+            photo: index of the photo.
+            loss: of the photo, not weighted.
+        """
+        ...
+
+
+@runtime_checkable
 class Geometry(Hashable, Protocol):
     """Adds a penalty on what a training view shows of the scene's geometry to the loss."""
 

@@ -21,13 +21,14 @@ from splatax.gaussians import Gaussians
 from splatax.splats import Splats
 from splatax.training.objectives import Geometry as Geometry
 from splatax.training.objectives import Loss as Loss
+from splatax.training.objectives import PhotoWeights as PhotoWeights
 from splatax.training.objectives import Prior as Prior
 
 
 class Source(NamedTuple):
     """The training photo that a batch shows."""
 
-    view: Int[Array, ""] | np.int32  # index of the photo, from 0
+    view: Int[Array, ""] | np.int32  # index of the photo, from 0; of all faces of a 360-degree photo
     lens: Int[Array, ""] | np.int32  # index of the lens that took it, from 0
     pixel: Float[Array, ""] | np.float32 = np.float32(1e-3)  # angle of a pixel of the full photo, radians
     place: Float[Array, "3"] | Float[np.ndarray, "3"] = np.zeros(3, np.float32)  # optical centre as given

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from splatax.backends.protocol import Kernels
-from splatax.dataset import Dataset
+from splatax.dataset import Dataset, photos_in
 from splatax.losses import Photometric
 from splatax.low_pass import AlongRays, Dilation, LowPass
 from splatax.math.harmonics import MAX_DEGREE
@@ -22,6 +22,7 @@ from splatax.training.geometry import NoGeometry
 from splatax.training.initialize import Discs, FromPoints, InFrusta
 from splatax.training.noise import Langevin
 from splatax.training.optimizer import LearningRates, Optimizer, ViewDepth
+from splatax.training.photo_weights import EqualWeights
 from splatax.training.priors import NoPrior, Sparsity
 from splatax.training.protocols import (
     Appearance,
@@ -31,6 +32,7 @@ from splatax.training.protocols import (
     Geometry,
     Initialization,
     Loss,
+    PhotoWeights,
     Prior,
     ResolutionSchedule,
 )
@@ -55,11 +57,12 @@ class ShSchedule:
 
 @dataclass(frozen=True)
 class Objective:
-    """The objective of training: the loss of the photos, and penalties on the scene."""
+    """The objective of training: the loss of the photos, penalties on the scene, and weights of photos."""
 
     loss: Loss = Photometric()
     prior: Prior = NoPrior()
     geometry: Geometry = NoGeometry()
+    weights: PhotoWeights = EqualWeights()
 
 
 @dataclass(frozen=True)
@@ -231,10 +234,11 @@ def detail_of(dataset: Dataset) -> int:
     """Returns the number of Gaussians that a capture has detail for.
 
     One photo has detail for one Gaussian per 8 pixels. More photos show more, but in large part the
-    same again: detail is assumed to grow with the square root of their number.
+    same again: detail is assumed to grow with the square root of their number. The faces of a 360-degree
+    photo show different things, and count as one photo.
     """
     pixels = sum(view.camera.width * view.camera.height for view in dataset.train)
-    return round(pixels / math.sqrt(len(dataset.train)) / PIXELS_PER_GAUSSIAN)
+    return round(pixels / math.sqrt(photos_in(dataset.train)) / PIXELS_PER_GAUSSIAN)
 
 
 def most_for(dataset: Dataset) -> int:

@@ -158,7 +158,8 @@ def optimize_rig(
     recipe = recipe.on(backends.resolve(recipe.drawing.backend))
     names = tuple(poses)
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *poses.values())
-    which = jnp.asarray([names.index(pose_of[view.name]) for view in dataset.train], jnp.int32)
+    of_photos = {view.photo: names.index(pose_of[view.name]) for view in dataset.train}
+    which = jnp.asarray(list(of_photos.values()), jnp.int32)
     gaussians, rig = start
     state, count = _first(gaussians, rig, recipe, len(names)), len(gaussians)
     refine_key, step_key = jax.random.split(jax.random.key(recipe.seed))

@@ -46,6 +46,7 @@ class TrainState:
         density_state: of the density strategy.
         appearance: of the appearance model.
         cameras: of the camera refinement.
+        weights: of the weights of photos.
         key: root of the random keys of all steps.
         extent: of the scene, world units.
         faults: what was not finite until now.
@@ -58,6 +59,7 @@ class TrainState:
     density_state: Any
     appearance: Any
     cameras: Any
+    weights: Any
     key: PRNGKeyArray
     extent: Float[Array, ""]
     faults: Faults
@@ -104,26 +106,29 @@ def _train_step(
         recipe.density.observe(state.density_state, *filling(splats, d.splats, batch.camera.frame)),
         recipe.appearance.update(state.appearance, batch.source, d.appearance, progress, total),
         recipe.camera_refinement.update(state.cameras, batch.source, d.camera, progress, total),
+        recipe.objective.weights.update(state.weights, batch.source.view, loss),
     )
     return advanced(replace(state, gaussians=gaussians, opt_state=opt_state), learned, good), loss
 
 
-def advanced(state: TrainState, learned: tuple[Any, Any, Any], good: Bool[Array, ""]) -> TrainState:
+def advanced(state: TrainState, learned: tuple[Any, Any, Any, Any], good: Bool[Array, ""]) -> TrainState:
     """Returns the state after a step that has moved the Gaussians.
 
     Args:
         state: before the step, with the moved Gaussians and the optimizer's new state.
-        learned: new states of density control, appearance and cameras; kept only if the step is good.
+        learned: new states of density control, appearance, cameras and the weights of photos; kept only if
+            the step is good.
         good: whether the loss is finite. If not, the step is counted as a fault.
     """
-    known = state.density_state, state.appearance, state.cameras
-    density_state, appearance, cameras = jax.tree.map(partial(jnp.where, good), learned, known)
+    known = state.density_state, state.appearance, state.cameras, state.weights
+    density_state, appearance, cameras, weights = jax.tree.map(partial(jnp.where, good), learned, known)
     return replace(
         state,
         step=state.step + 1,
         density_state=density_state,
         appearance=appearance,
         cameras=cameras,
+        weights=weights,
         faults=state.faults._replace(steps=state.faults.steps + ~good),
     )
 
@@ -172,7 +177,7 @@ class Gradients(NamedTuple):
 def compare(
     state: TrainState, batch: Batch, recipe: Recipe, background: Float[Array, "3"]
 ) -> tuple[Float[Array, ""], Splats, Gradients]:
-    """Returns the loss of a view, its splats, and the gradients of the loss."""
+    """Returns the loss of a view, its splats, and the gradients of the loss times the weight of the photo."""
 
     def project_view(gaussians, correction):
         camera = recipe.camera_refinement(correction, batch.camera, state.extent)
@@ -184,8 +189,9 @@ def compare(
     correction = recipe.camera_refinement.for_photo(state.cameras, batch.source)
     (view, prior), pull_back, camera = jax.vjp(project_view, state.gaussians, correction, has_aux=True)
     progress = state.step / state.total
-    target = Target(batch.photo, batch.mask, batch.landmarks, background, camera, progress)
-    loss, (d_view, d_appearance) = jax.value_and_grad(image_loss, argnums=(0, 1))(
+    weight = recipe.objective.weights.of_photo(state.weights, batch.source.view, progress)
+    target = Target(batch.photo, batch.mask, batch.landmarks, background, camera, progress, weight)
+    (_, loss), (d_view, d_appearance) = jax.value_and_grad(weighted_loss, argnums=(0, 1), has_aux=True)(
         view, appearance, target, recipe
     )
     d_gaussians, d_camera = pull_back((d_view, jnp.ones_like(prior)))
@@ -208,6 +214,7 @@ class Target(NamedTuple):
     background: Float[Array, "3"]
     camera: Camera  # as corrected
     progress: Float[Array, ""]  # fraction of the run that is done
+    weight: Any = 1.0  # of the photo in the loss: a scalar
 
 
 def shown(gaussians: Gaussians, camera: Camera, recipe: Recipe, divisor: int) -> Shown:
@@ -216,6 +223,14 @@ def shown(gaussians: Gaussians, camera: Camera, recipe: Recipe, divisor: int) ->
     splats = project(gaussians, camera, low_pass=low_pass, backend=backends.resolve(recipe.drawing.backend))
     channels = geometry.channels(recipe.objective.geometry.outputs, Seen(splats, gaussians, camera))
     return Shown(recipe.density.watch(splats), channels)
+
+
+def weighted_loss(
+    view: Shown, appearance: Any, target: Target, recipe: Recipe
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """Returns the loss of a view times the weight of its photo, and the loss itself."""
+    loss = image_loss(view, appearance, target, recipe)
+    return loss * target.weight, loss
 
 
 def image_loss(view: Shown, appearance: Any, target: Target, recipe: Recipe) -> Float[Array, ""]:

@@ -13,6 +13,7 @@ from splatax.math import harmonics
 from splatax.training.backgrounds import Solid
 from splatax.training.capacity import bucket_for, pad
 from splatax.training.density.none import NoDensityControl
+from splatax.training.feed import rows_for
 from splatax.training.loop import Progress, RunState, first_state, optimize
 from splatax.training.recipes import Drawing, Objective, Recipe, ShSchedule, default
 from splatax.training.resolution import Resolution
@@ -51,5 +52,5 @@ def tune(gaussians: Gaussians, dataset: Dataset, recipe: Recipe) -> Iterator[Pro
     # During training the recipe holds the filter, and scenes have the default one.
     copied = replace(jax.tree.map(jnp.array, gaussians), low_pass=Dilation())
     padded = pad(copied, bucket_for(count))
-    state = first_state(padded, recipe, dataset.extent, len(dataset.train))
+    state = first_state(padded, recipe, dataset.extent, rows_for(dataset.train))
     yield from optimize(dataset, recipe, RunState(state, count))

@@ -91,7 +91,8 @@ def _on_each(
         replace(splats, period=None), replace(d.splats, period=None), views.camera.frame
     )
     density_state = _observed(state.density_state, *in_view, recipe)
-    learned = (density_state, *_photos_updated(state, views.source, d, recipe))
+    weights = _weights_updated(state, views.source, losses, recipe)
+    learned = (density_state, *_photos_updated(state, views.source, d, recipe), weights)
     moved = replace(state, gaussians=gaussians, opt_state=opt_state)
     return advanced(moved, learned, good), jnp.mean(losses)
 
@@ -148,6 +149,17 @@ def _observed(density_state: Any, splats: Splats, d_splats: Splats, recipe: Reci
     if not jax.tree.leaves(density_state):
         return density_state
     return lax.scan(observe, density_state, (splats, d_splats))[0]
+
+
+def _weights_updated(state: TrainState, source: Source, losses: Float[Array, " k"], recipe: Recipe) -> Any:
+    """Returns the state of the weights of photos after the photos of a step, one after the other."""
+    if not jax.tree.leaves(state.weights):
+        return state.weights
+
+    def update(weights, photo):
+        return recipe.objective.weights.update(weights, *photo), None
+
+    return lax.scan(update, state.weights, (source.view, losses))[0]
 
 
 def _photos_updated(state: TrainState, source: Source, d: Differences, recipe: Recipe) -> tuple[Any, Any]:

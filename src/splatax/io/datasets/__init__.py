@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
-from splatax.dataset import Dataset, resplit
+from splatax.dataset import Dataset, photos_in, resplit
 from splatax.errors import DatasetError, shown
 from splatax.io import images
 from splatax.io.damage import blamed_on
@@ -101,10 +101,11 @@ def split(dataset: Dataset, folder: Path, rule: HoldOut | None) -> Dataset:
         InputError: if the rule names a photo that is not there, or leaves none to train on.
     """
     if rule is None and not dataset.split:
-        rule = own_list(folder, [view.name for view in dataset.views]) or Every()
+        names = [name for view in dataset.views for name in (view.name, view.photo)]
+        rule = own_list(folder, list(dict.fromkeys(names))) or Every()
     if rule is not None:
         dataset = resplit(dataset, rule)
-    held_out, every = len(dataset.test), len(dataset.views)
+    held_out, every = photos_in(dataset.test), photos_in(dataset.views)
     note = f"{held_out} of {counted(every)} held out for testing: {dataset.split}"
     if not held_out and rule == Every():
         note = f"no photo is held out: {counted(every)} are too few, so all are trained on"

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from splatax.dataset import Dataset, PointCloud, View
+from splatax.dataset import Dataset, PointCloud, View, photos_in
 from splatax.errors import DatasetError
 from splatax.io.datasets import depths, masks, photos, truth
 from splatax.io.datasets.capture import Capture, Frame
@@ -48,7 +48,9 @@ def dataset_of(capture: Capture, downscale: int | None, undistort: bool) -> Data
     factor = photos.shrink_factor(sources, capture.already, downscale)
     views = [
         replace(
-            source.view(factor, undistort), landmarks=landmarks_of(source, named[source.name], capture.home)
+            source.view(factor, undistort),
+            landmarks=landmarks_of(source, named[source.name], capture.home),
+            face_of=named[source.name].face_of,
         )
         for source in sources
     ]
@@ -63,7 +65,8 @@ def dataset_of(capture: Capture, downscale: int | None, undistort: bool) -> Data
     errors = capture.errors({view.name: view.camera for view in views}) if capture.errors else {}
     notes = [
         *capture.notes,
-        f"{len(views)} of {len(views) + len(unused)} photos registered",
+        f"{photos_in(views)} of {photos_in(views) + len(unused)} photos registered",
+        *faces(views),
         *absent(missing, len(capture.frames)),
         f"{f'{len(points):,}' if len(points) else 'no'} points; photos {photos.sizes_of(views)} "
         f"from {folder.name}/{photos.scaling(factor)}",
@@ -82,6 +85,12 @@ def dataset_of(capture: Capture, downscale: int | None, undistort: bool) -> Data
     survey = photos.survey(sources, unused, errors)
     split = "" if capture.held_out is None else "as the capture's own files define"
     return Dataset(train, test, points, tuple(notes), capture.background, survey, split)
+
+
+def faces(views: list[View]) -> list[str]:
+    """Returns a list with a note about 360-degree photos that are in faces, or an empty list."""
+    each = [view for view in views if view.face_of]
+    return [f"{photos.counted(photos_in(each))} of 360 degrees, in {len(each)} faces"] if each else []
 
 
 def landmarks_of(

@@ -52,6 +52,7 @@ class Frame:
         depth: depth map, if there is one.
         parallel: true for an orthophoto, whose focal lengths are pixels for a world unit.
         landmarks: function that returns the points of structure from motion that were observed in the photo.
+        face_of: name of the 360-degree photo that this is a face of; None for a photo by itself.
     """
 
     name: str
@@ -62,6 +63,7 @@ class Frame:
     depth: DepthMap | None = None
     parallel: bool = False
     landmarks: Callable[[], Float[np.ndarray, "_ 3"]] | None = None
+    face_of: str | None = None
 
 
 @dataclass(frozen=True)

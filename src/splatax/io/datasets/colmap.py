@@ -5,6 +5,7 @@
 pycolmap reads the model, and undistorts photos whose cameras are not pinholes.
 """
 
+import os
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -59,6 +60,7 @@ def read(path: Path, downscale: int | None) -> Capture:
         notes = (f"{len(models)} models ({sizes}); using the largest, {folder.name}",)
     registered = registered_in(folder, model)
     folder, already = photos.photo_folder(path, downscale)
+    faces = faces_of(model, registered)
     frames = [
         Frame(
             name,
@@ -66,6 +68,7 @@ def read(path: Path, downscale: int | None) -> Capture:
             always(model.camera(registered[name].camera_id)),
             registered[name].cam_from_world().matrix(),
             landmarks=partial(points_observed, model, registered[name]),
+            face_of=faces.get(name),
         )
         for name, photo in photos_of(registered, folder).items()
     ]
@@ -125,6 +128,31 @@ def registered_in(folder: Path, model: "pycolmap.Reconstruction") -> "dict[str, 
     if not found:
         raise DatasetError(f"{folder}: the model has no registered photos. Run COLMAP's mapper again.")
     return dict(sorted(found.items()))
+
+
+def faces_of(model: "pycolmap.Reconstruction", registered: "dict[str, pycolmap.Image]") -> dict[str, str]:
+    """Returns the 360-degree photo of each image that is a face of one, by the image's name.
+
+    Faces are the images of one moment (a frame) by the cameras of a rig that share an optical centre. What
+    their names begin with in common is the name of the photo.
+    """
+    turning = {
+        number
+        for number, rig in model.rigs.items()
+        if len(rig.non_ref_sensors)
+        and all(pose and not np.any(pose.translation) for pose in rig.non_ref_sensors.values())
+    }
+    moments: dict[int, list[str]] = {}
+    for name, image in registered.items():
+        if image.frame.rig_id in turning:
+            moments.setdefault(image.frame_id, []).append(name)
+    found: dict[str, str] = {}
+    for faces in moments.values():
+        photo = os.path.commonprefix(faces).rstrip("-_./ ") or faces[0]  # noqa: RUF071
+        if photo in found.values():  # rigs of other programs may name cameras first
+            photo = faces[0]
+        found |= dict.fromkeys(faces, photo)
+    return found
 
 
 def point_cloud(path: Path, model: "pycolmap.Reconstruction") -> PointCloud:

@@ -1,12 +1,13 @@
 """Reads and writes splat files; the suffix of the name decides the format.
 
-A format is a module with `load(path)`, `save(path, gaussians, comments=)`, or both. It also has
+A format is a module with `load(path)` and `comments(path)`, which returns the lines kept with the scene.
+Those that are not in `READ_ONLY` also have
 
-    comments(path)   the lines kept with the scene (required with `load`)
-    MAX_SH_DEGREE    the highest SH degree that the format can hold (required with `save`)
-    LOSES            one sentence that says which precision saving loses (required with `save`)
-    KEPT_MARKS       the marks of a scene's filter that the file keeps (required with `save`)
-    TOLERANCE        the largest error of each number after saving and loading (required with both)
+    save(path, gaussians, comments=)
+    MAX_SH_DEGREE    the highest SH degree that the format can hold
+    LOSES            one sentence that says which precision saving loses
+    KEPT_MARKS       the marks of a scene's filter that the file keeps
+    TOLERANCE        the largest error of each number after saving and loading
 
     A reader may raise any exception on a damaged file; `load` and `comments` turn it into a `FormatError`.
     `tests/contracts/test_formats.py` tests each format against these rules.
@@ -51,6 +52,8 @@ FORMATS: dict[str, ModuleType] = {
     ".ksplat": ksplat,
     ".pt": gsplat_pt,
 }
+READ_ONLY = (sog_folder, ksplat, gsplat_pt)
+WRITTEN = tuple(suffix for suffix, module in FORMATS.items() if module not in READ_ONLY)
 
 
 def load(path: str | Path) -> Gaussians:
@@ -100,10 +103,8 @@ def save(path: str | Path, gaussians: Gaussians, *, comments: tuple[str, ...] = 
     """
     path = Path(path)
     module = format_of(path)
-    if not hasattr(module, "save"):
-        raise FormatError(
-            f"{path}: this format can only be read: splatax writes {', '.join(suffixes('save'))}."
-        )
+    if module in READ_ONLY:
+        raise FormatError(f"{path}: this format can only be read: splatax writes {', '.join(WRITTEN)}.")
     if gaussians.sh_degree > module.MAX_SH_DEGREE:
         raise FormatError(
             f"{path}: this format holds SH up to degree {module.MAX_SH_DEGREE}, and the scene has degree "
@@ -134,8 +135,8 @@ def format_of(path: Path) -> ModuleType:
     fitting = [suffix for suffix in FORMATS if path.name.lower().endswith(suffix)]
     if not fitting:
         raise FormatError(
-            f"{path}: unknown format {path.suffix!r}: splatax reads {', '.join(suffixes('load'))} "
-            f"and writes {', '.join(suffixes('save'))}."
+            f"{path}: unknown format {path.suffix!r}: splatax reads {', '.join(FORMATS)} "
+            f"and writes {', '.join(WRITTEN)}."
         )
     return FORMATS[max(fitting, key=len)]
 
@@ -146,18 +147,10 @@ def size_of(path: Path) -> int:
     return sum(file.stat().st_size for file in (path, *(file for unit in units for file in unit.iterdir())))
 
 
-def suffixes(ability: str) -> list[str]:
-    """Returns the suffixes of the formats that have a function with this name, "load" or "save"."""
-    return [suffix for suffix, module in FORMATS.items() if hasattr(module, ability)]
-
-
 def _readable(path: Path) -> ModuleType:
     if not path.is_file():
         raise FormatError(f"{path}: no such file. Give a splat file, such as the scene.ply of a run.")
-    module = format_of(path)
-    if not hasattr(module, "load"):
-        raise FormatError(f"{path}: this format can only be written. Give the file that it was made from.")
-    return module
+    return format_of(path)
 
 
 def _written(path: Path, gaussians: Gaussians) -> Gaussians:

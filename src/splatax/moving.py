@@ -88,7 +88,7 @@ def checked(gaussians: Gaussians, gradients: Gaussians, moments: Moments, step: 
     Raises:
         ValueError: if a shape or dtype is wrong.
     """
-    arrays = {}
+    arrays: dict[str, tuple[Array, str]] = {}
     parts = {"": gaussians, "gradient of ": gradients, "mean of ": moments.mean, "square of ": moments.square}
     for prefix, scene in parts.items():
         arrays |= {

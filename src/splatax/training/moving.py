@@ -5,7 +5,7 @@ prior or noise is moved by functions of JAX.
 """
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -28,7 +28,7 @@ class Rows(NamedTuple):
 
     gaussians: Gaussians
     gradients: Gaussians  # of the loss, without the prior
-    opt_state: optax.OptState  # of the recipe's rule
+    opt_state: Any  # of the recipe's rule
     reach: Float[
         Array, " m"
     ]  # length that the means' learning rate is a fraction of: one, or one for each row
@@ -53,8 +53,9 @@ class Pace(NamedTuple):
 def rule_of(recipe: Recipe) -> Rule | None:
     """Returns the rule by which kernels move the scene of a recipe; None if they do not know a part of it."""
     adam, prior, noise = recipe.optimizer.rule, recipe.objective.prior, recipe.optimizer.noise
-    known = type(adam) is Adam and type(prior) in (NoPrior, Sparsity) and type(noise) in (NoNoise, Langevin)
-    if not known or adam.eps <= 0:
+    if type(adam) is not Adam or adam.eps <= 0:
+        return None
+    if type(prior) not in (NoPrior, Sparsity) or type(noise) not in (NoNoise, Langevin):
         return None
     rule = Rule(adam.b1, adam.b2, adam.eps)
     if isinstance(prior, Sparsity):

@@ -123,6 +123,12 @@ class Checks {
     return *this;
   }
 
+  // Reports a finding unless a condition holds.
+  Checks& require(bool holds, const std::string& finding) {
+    if (!holds) report(finding);
+    return *this;
+  }
+
   bool failed() const { return !finding_.empty(); }
   ffi::Error error(const char* call) const {
     return ffi::Error::InvalidArgument(std::string("splatax: ") + call + ": " + finding_);

@@ -22,12 +22,23 @@ from splatax.backends import cpu
 from splatax.cameras import lenses
 from splatax.losses import Photometric
 from splatax.low_pass import Antialiasing, Dilation
+from splatax.moving import Moments, Rule, Step
 from splatax.rendering import Renderer, composite, project, rasterize, render, select
+from splatax.training.optimizer import LearningRates
 
 N, SIZE = 12, (10, 7)
 CAMERA = camera_at(size=SIZE, focal=8.0)
 GAUSSIANS = random_gaussians(n=N, degree=1)
 SPLATS = random_splats(n=N, size=SIZE)
+STEP = Step(
+    rates=LearningRates().at(jnp.float32(0), jnp.ones(N), 4),
+    free=jnp.ones(4, bool),
+    good=jnp.asarray(True),
+    count=jnp.int32(1),
+    living=jnp.int32(N),
+    extent=jnp.float32(1),
+    keys=jnp.ones((1, 2), jnp.uint32),
+)
 EXAMPLES = settings(
     max_examples=200,
     deadline=None,
@@ -222,6 +233,9 @@ def recorded_calls():
 
     def record(self, symbol, shapes, arrays, **options):
         results = original(self, symbol, shapes, arrays, **options)
+        options.pop(
+            "aliases", None
+        )  # XLA itself compares the shapes of an argument and a result in one buffer
         calls.append((symbol, shapes, [np.asarray(array) for array in arrays], options))
         return results
 
@@ -239,6 +253,8 @@ def recorded_calls():
         photo = jnp.zeros((*SIZE[::-1], 3))
         jax.grad(lambda x: cpu.BEST.photometric(x, photo, 0.2))(photo + 0.5)
         select(SPLATS, 3, backend="cpu")
+        nothing = jax.tree.map(jnp.zeros_like, GAUSSIANS)
+        cpu.BEST.move(GAUSSIANS, nothing, Moments(nothing, nothing), STEP, Rule(0.9, 0.999, 1e-15), N)
         jax.jvp(lambda c: composite(SPLATS, c, backend="cpu")[0], (SPLATS.colors,), (SPLATS.colors,))
         for lens in (lenses.Pinhole(), lenses.opencv(0.1), lenses.Fisheye(jnp.zeros(4))):
             point = GAUSSIANS, replace(CAMERA, lens=lens)
@@ -276,6 +292,7 @@ def test_every_native_kernel_and_its_gradient_is_among_the_calls():
         "photometric",
         "scene_forward",
         "scene_backward",
+        "move",
     }
 
 
@@ -299,6 +316,8 @@ def test_cpu_handlers_refuse_what_does_not_fit(data):
                 return  # SH of another degree
             leading = right.shape[: arrays[0].ndim - 2]
             still = (*leading, 0, *right.shape[len(leading) + 1 :])
+            if symbol == "splatax_move" and place == 21 and wrong == (1,):
+                return  # one learning rate for the means of all rows
             if symbol == "splatax_project_tangent" and place >= 7 and wrong == still:
                 return  # the tangent of what does not move
             arrays[place] = np.ones(wrong, right.dtype)
@@ -326,6 +345,7 @@ def test_cpu_handlers_refuse_what_does_not_fit(data):
         ("splatax_rasterize_backward", "max_pairs", -1),
         ("splatax_scene_forward", "max_pairs", 0),
         ("splatax_scene_backward", "max_pairs", 2**40),
+        ("splatax_move", "block", 0),
     ],
 )
 def test_cpu_handlers_refuse_options_out_of_range(symbol, option, value):
@@ -336,6 +356,26 @@ def test_cpu_handlers_refuse_options_out_of_range(symbol, option, value):
                 symbol, shapes, list(map(jnp.asarray, arrays)), **options | {option: np.int64(value)}
             )
         )
+
+
+@NATIVE
+@pytest.mark.parametrize(
+    ("place", "value", "words"),
+    [
+        (0, np.nan, "number 0 of the step is not finite"),
+        (14, np.inf, "number 14 of the step is not finite"),
+        (1, 1.0, r"a decay is not in \[0, 1\)"),
+        (3, -0.1, r"a decay is not in \[0, 1\)"),
+        (5, 0.0, "epsilon is not positive"),
+    ],
+)
+def test_cpu_step_refuses_numbers_that_would_spoil_the_scene(place, value, words):
+    symbol, shapes, arrays, options = next(call for call in CALLS if call[0] == "splatax_move")
+    numbers = arrays[20].copy()
+    numbers[place] = value
+    arrays = [*arrays[:20], numbers, *arrays[21:]]
+    with pytest.raises(jax.errors.JaxRuntimeError, match=f"INVALID_ARGUMENT.*{words}"):
+        jax.block_until_ready(cpu.Build().call(symbol, shapes, list(map(jnp.asarray, arrays)), **options))
 
 
 @NATIVE

@@ -19,6 +19,7 @@ def call(
     arrays: Sequence[Array],
     options: Mapping[str, np.int64 | np.float32],
     vmap_method: str = "sequential",
+    aliases: Mapping[int, int] | None = None,
 ) -> Sequence[Array]:
     """Calls a foreign function, also inside `jax.vmap` and `jax.shard_map`.
 
@@ -28,12 +29,14 @@ def call(
         arrays: its arguments. The function checks their dtypes and shapes.
         options: further arguments, static under `jit`.
         vmap_method: how `jax.vmap` calls it; see `jax.ffi.ffi_call`. By default once for each element.
+        aliases: place of an argument -> place of the result that may take its memory.
     """
     axes = varying_axes(arrays)
     results = [_result(shape, axes) for shape in shapes]
-    return jax.ffi.ffi_call(target, results, vmap_method=vmap_method)(
-        *vary_over(axes, tuple(arrays)), **options
+    function = jax.ffi.ffi_call(
+        target, results, vmap_method=vmap_method, input_output_aliases=dict(aliases or {})
     )
+    return function(*vary_over(axes, tuple(arrays)), **options)
 
 
 def _result(shape: Shape, axes: frozenset[str]) -> jax.ShapeDtypeStruct:

@@ -10,6 +10,7 @@ from splatax.cameras import Camera
 from splatax.footprints import EWA, Method
 from splatax.gaussians import Gaussians
 from splatax.low_pass import LowPass
+from splatax.moving import Moments, Rule, Step
 from splatax.splats import Splats
 
 
@@ -106,6 +107,17 @@ class Photometric(Protocol):
         ...
 
 
+@runtime_checkable
+class Move(Protocol):
+    """A training step of the rows of a scene, from the gradient of the loss to the moved Gaussians."""
+
+    def __call__(
+        self, gaussians: Gaussians, gradients: Gaussians, moments: Moments, step: Step, rule: Rule, block: int
+    ) -> tuple[Gaussians, Moments]:
+        """Moves as `splatax.moving.move` does."""
+        ...
+
+
 def runs_everywhere() -> str | None:
     """Returns None: the kernels run wherever JAX does."""
     return None
@@ -124,6 +136,8 @@ class Kernels:
         composite: the rasterizer.
         select: the splats that decide each pixel.
         photometric: the loss.
+        move: a step of Adam with the rows of the scene, with its prior and noise. Training uses it for the
+            optimizers of the presets; others go through optax.
         why_unavailable: returns the reason why the kernels cannot run on this machine, or None if they can.
         dtypes: the names of the dtypes that all of the kernels compute in.
         draw: both halves at once; None if the backend has only the two. It is used while it stands for
@@ -135,6 +149,7 @@ class Kernels:
     composite: Composite
     select: Select
     photometric: Photometric
+    move: Move
     why_unavailable: Callable[[], str | None] = runs_everywhere
     dtypes: tuple[str, ...] = ("float32", "float64")
     draw: Draw | None = None

@@ -14,9 +14,9 @@ from splatax.bench.scenes import Scene
 from splatax.losses import Photometric
 from splatax.rendering import render
 from splatax.stages import composite, project
-from splatax.training import optimizer
 from splatax.training.feed import Batch
 from splatax.training.loop import first_state
+from splatax.training.moving import Pace, Rows, moved
 from splatax.training.recipes import Recipe
 from splatax.training.step import train_step
 
@@ -155,7 +155,7 @@ def training(scene: Scene, backend: str) -> dict[str, Operation]:
     loss_gradient = jax.jit(jax.value_and_grad(loss))
     return {
         f"loss{BACKWARD}": lambda: loss_gradient(image, photo),
-        "Adam": adam(scene),
+        "Adam": adam(scene, backend),
         "training step": step(scene, Recipe().on(backend)),
     }
 
@@ -167,18 +167,25 @@ def images(height: int, width: int) -> tuple[jax.Array, jax.Array]:
     return jnp.asarray(first), jnp.asarray(second)
 
 
-def adam(scene: Scene) -> Operation:
-    """Returns an operation that updates all fields of the scene by Adam, in place."""
-    # A copy, because the update donates its arguments.
+def adam(scene: Scene, backend: str) -> Operation:
+    """Returns an operation that moves all fields of the scene by Adam, in place."""
+    # A copy, because the move donates its arguments.
     gaussians = jax.tree.map(jnp.array, scene.gaussians)
-    chosen = Recipe().optimizer
-    carried = [gaussians, chosen.rule().init(gaussians)]
+    recipe = Recipe().on(backend)
+    carried = [gaussians, recipe.optimizer.rule().init(gaussians)]
     gradients = jax.tree.map(lambda leaf: jnp.full_like(leaf, 1e-8), gaussians)
-    rates = chosen.rates.at(jnp.float32(0), jnp.ones(1), gaussians.sh.shape[1])
-    update = jax.jit(partial(optimizer.update, rule=chosen.rule), donate_argnums=(0, 2))
+    openings = jnp.asarray(recipe.sh.openings(recipe.steps))
+    count, one = jnp.int32(len(gaussians)), jnp.float32(1)
+    pace = Pace(recipe.optimizer.rates, openings, one, jnp.asarray(True), count, one)
+
+    def move(gaussians, opt_state, gradients):
+        rows = Rows(gaussians, gradients, opt_state, one[None])
+        return moved(rows, pace, jax.random.key(0), recipe)
+
+    update = jax.jit(move, donate_argnums=(0, 1))
 
     def operation() -> Any:
-        carried[:] = update(carried[0], gradients, carried[1], rates)
+        carried[:] = update(*carried, gradients)
         return carried[0].means
 
     return operation

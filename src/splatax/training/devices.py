@@ -18,7 +18,7 @@ import numpy as np
 from jax import lax
 from jax.experimental import multihost_utils
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
-from jaxtyping import Array
+from jaxtyping import Array, Int
 
 from splatax.gaussians import Gaussians
 from splatax.training.capacity import pad
@@ -176,10 +176,14 @@ def by_block(function: Callable[..., Any], *rows: Any) -> Any:
         rows: pytrees of arrays with a first axis of own rows.
     """
     blocks = jax.tree.map(lambda leaf: leaf.reshape(-1, BLOCK, *leaf.shape[1:]), rows)
-    count = jax.tree.leaves(blocks)[0].shape[0]
-    numbers = jnp.arange(count) * lax.axis_size(AXIS) + lax.axis_index(AXIS)
+    numbers = own_blocks(jax.tree.leaves(rows)[0].shape[0])
     results = lax.map(lambda block: function(block[0], *block[1]), (numbers, blocks))
     return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), results)
+
+
+def own_blocks(rows: int) -> Int[Array, " blocks"]:
+    """Returns the numbers in the scene of the blocks of own rows. Inside `shard_map`."""
+    return jnp.arange(rows // BLOCK) * lax.axis_size(AXIS) + lax.axis_index(AXIS)
 
 
 def sum_in_order(blocks: Array) -> Array:

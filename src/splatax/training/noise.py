@@ -1,16 +1,12 @@
 """Noise that is added to the scene at each training step: stochastic gradient Langevin dynamics."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import jax
-import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from splatax.gaussians import Gaussians
-from splatax.math import ellipsoids
-
-SHARPNESS = 100  # slope of the gate, which lets noise through to faint Gaussians only
-FAINT = 0.005  # opacity at which the gate is half open
+from splatax.moving import shaken
 
 
 @dataclass(frozen=True)
@@ -31,7 +27,7 @@ class Langevin:
     mean += strength * rate * Sigma (eps * sigmoid(-100 (opacity - 0.005))),   eps ~ N(0, I),
 
     with the learning rate of the means, and Sigma in units of the scene's extent, so that the result does
-    not depend on the unit of length. Empty slots do not move.
+    not depend on the unit of length. Empty slots do not move; see `splatax.moving.shaken`.
     """
 
     strength: float = 5e5
@@ -47,14 +43,5 @@ class Langevin:
             extent: of the scene, world units.
             key: of this step.
         """
-        gate = jax.nn.sigmoid(-SHARPNESS * (gaussians.opacities - FAINT))
-        gate = jnp.where(gaussians.opacity_logits > -jnp.inf, gate, 0)
-        noise = jax.random.normal(key, gaussians.means.shape) * gate[:, None]
-        shift = jax.vmap(_by_covariance)(gaussians.quats, gaussians.scales / extent, noise)
-        return replace(gaussians, means=gaussians.means + self.strength * rate[:, None] * shift)
-
-
-def _by_covariance(quat: Float[Array, "4"], scale: Float[Array, "3"], v: Float[Array, "3"]):
-    """Returns Sigma v."""
-    factor = ellipsoids.covariance_factor(quat, scale)
-    return factor @ (factor.T @ v)
+        drawn = jax.random.normal(key, gaussians.means.shape)
+        return shaken(gaussians, self.strength, rate, extent, drawn)

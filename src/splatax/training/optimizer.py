@@ -185,6 +185,13 @@ def without_locked_bands(
         progress: fraction of the run that is done, in float32.
         openings: fraction of the run after which each band is learned; see `ShSchedule.openings`.
     """
-    band = jnp.array([l for l in range(harmonics.MAX_DEGREE + 1) for _ in range(2 * l + 1)])
-    free = (openings <= progress)[band[: gradients.sh.shape[1]]]
+    free = free_coefficients(progress, openings, gradients.sh.shape[1])
     return replace(gradients, sh=jnp.where(free[None, :, None], gradients.sh, 0))
+
+
+def free_coefficients(
+    progress: Float[Array, ""], openings: Float[Array, " bands"], coefficients: int
+) -> Bool[Array, " k"]:
+    """Returns which spherical harmonics are learned already; arguments as of `without_locked_bands`."""
+    band = jnp.array([l for l in range(harmonics.MAX_DEGREE + 1) for _ in range(2 * l + 1)])
+    return (openings <= progress)[band[:coefficients]]

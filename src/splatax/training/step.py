@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import optax
-from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt8
 
 from splatax import backends
@@ -20,8 +19,9 @@ from splatax.low_pass import LowPass
 from splatax.outputs import over
 from splatax.splats import Splats
 from splatax.stages import composite, project
-from splatax.training import geometry, optimizer
+from splatax.training import geometry
 from splatax.training.feed import Batch
+from splatax.training.moving import Pace, Rows, moved
 from splatax.training.optimizer import LearningRates
 from splatax.training.recipes import Recipe
 
@@ -87,20 +87,13 @@ def _train_step(
     background_key, noise_key = jax.random.split(jax.random.fold_in(state.key, state.step))
     loss, splats, d = compare(state, batch, recipe, recipe.drawing.background.sample(background_key))
 
-    # A step whose loss is not finite has zero gradients and zero learning rates, so nothing moves. Selecting
-    # between the old and the new state instead would take a copy of all moments.
-    good = jnp.isfinite(loss)
-    gradients = jax.tree.map(lambda leaf: jnp.where(good, leaf, 0), d.gaussians)
+    good = jnp.isfinite(loss)  # if not, nothing moves
     progress = state.step / state.total
-    gradients = optimizer.without_locked_bands(gradients, progress, openings)
+    living = jnp.sum(state.gaussians.opacity_logits > -jnp.inf)
     reach = recipe.optimizer.reach(splats.depths, state.extent)
-    rates = learning_rates.at(progress, reach, gradients.sh.shape[1])
-    rates = jax.tree.map(lambda leaf: jnp.where(good, leaf, 0), rates)
-    gaussians, opt_state = optimizer.update(
-        state.gaussians, gradients, state.opt_state, rates, recipe.optimizer.rule
-    )
-    gaussians = lax.optimization_barrier(gaussians)
-    gaussians = recipe.optimizer.noise(gaussians, rates.means[:, 0], state.extent, noise_key)
+    rows = Rows(state.gaussians, d.gaussians, state.opt_state, reach)
+    pace = Pace(learning_rates, openings, progress, good, living, state.extent)
+    gaussians, opt_state = moved(rows, pace, noise_key, recipe)
     total = state.total.astype(jnp.float32)
     learned = (
         recipe.density.observe(state.density_state, *filling(splats, d.splats, batch.camera.frame)),
@@ -181,20 +174,18 @@ def compare(
 
     def project_view(gaussians, correction):
         camera = recipe.camera_refinement(correction, batch.camera, state.extent)
-        prior = recipe.objective.prior(gaussians, state.extent, living)
-        return (shown(gaussians, camera, recipe, batch.divisor), prior), camera
+        return shown(gaussians, camera, recipe, batch.divisor), camera
 
-    living = jnp.sum(state.gaussians.opacity_logits > -jnp.inf)
     appearance = recipe.appearance.for_photo(state.appearance, batch.source)
     correction = recipe.camera_refinement.for_photo(state.cameras, batch.source)
-    (view, prior), pull_back, camera = jax.vjp(project_view, state.gaussians, correction, has_aux=True)
+    view, pull_back, camera = jax.vjp(project_view, state.gaussians, correction, has_aux=True)
     progress = state.step / state.total
     weight = recipe.objective.weights.of_photo(state.weights, batch.source.view, progress)
     target = Target(batch.photo, batch.mask, batch.landmarks, background, camera, progress, weight)
     (_, loss), (d_view, d_appearance) = jax.value_and_grad(weighted_loss, argnums=(0, 1), has_aux=True)(
         view, appearance, target, recipe
     )
-    d_gaussians, d_camera = pull_back((d_view, jnp.ones_like(prior)))
+    d_gaussians, d_camera = pull_back(d_view)
     return loss, view.splats, Gradients(d_gaussians, d_view.splats, d_appearance, d_camera)
 
 

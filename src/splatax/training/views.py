@@ -10,26 +10,28 @@ gradients from all views. Nothing is summed across devices but counts.
 
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.sharding import Mesh
-from jaxtyping import Array, Bool, Float, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from splatax.gaussians import Gaussians
 from splatax.splats import Splats
-from splatax.training import optimizer
 from splatax.training.comparison import Differences, Views, compare_views
 from splatax.training.devices import (
     AXIS,
+    BLOCK,
     EVERYWHERE,
     ROWS,
     VIEWS,
     by_block,
+    own_blocks,
     placement,
 )
+from splatax.training.moving import Pace, Rows, by_kernel, by_optax, draws_as_kernels, rule_of
 from splatax.training.optimizer import LearningRates
 from splatax.training.protocols import Source
 from splatax.training.recipes import Recipe
@@ -82,10 +84,10 @@ def _on_each(
     losses, splats, d = compare_views(state, views, recipe, background_key)
     good = jnp.all(jnp.isfinite(losses))  # if not, nothing moves; see `splatax.training.step`
 
-    gradients = jax.tree.map(lambda leaf: jnp.where(good, leaf, 0), d.gaussians)
-    gradients = optimizer.without_locked_bands(gradients, state.step / state.total, openings)
-    depths = jnp.moveaxis(splats.depths, 0, 1)
-    gaussians, opt_state = _moved(state, gradients, depths, Move(rates, good, noise_key), recipe)
+    living = lax.psum(jnp.sum(state.gaussians.opacity_logits > -jnp.inf), AXIS)
+    pace = Pace(rates, openings, state.step / state.total, good, living, state.extent)
+    rows = Rows(state.gaussians, d.gaussians, state.opt_state, _reach(splats, state, recipe))
+    gaussians, opt_state = _moved(rows, pace, noise_key, recipe, placement(state).opt_state)
 
     in_view = jax.vmap(filling)(
         replace(splats, period=None), replace(d.splats, period=None), views.camera.frame
@@ -97,41 +99,42 @@ def _on_each(
     return advanced(moved, learned, good), jnp.mean(losses)
 
 
-class Move(NamedTuple):
-    """The inputs of an optimizer step beside the gradients."""
+def _reach(splats: Splats, state: TrainState, recipe: Recipe) -> Float[Array, " n"]:
+    """Returns the mean over the views of the length that the means' learning rate is a fraction of."""
 
-    rates: LearningRates
-    good: Bool[Array, ""]  # false if nothing may move
-    noise_key: PRNGKeyArray
+    def block(_, depths):
+        reach = jax.vmap(recipe.optimizer.reach, (1, None), 1)(depths, state.extent)
+        return jnp.broadcast_to(jnp.mean(reach, axis=1), len(depths))
+
+    return by_block(block, jnp.moveaxis(splats.depths, 0, 1))
 
 
 def _moved(
-    state: TrainState, gradients: Gaussians, depths: Float[Array, "n k"], move: Move, recipe: Recipe
+    rows: Rows, pace: Pace, noise_key: PRNGKeyArray, recipe: Recipe, places: Any
 ) -> tuple[Gaussians, Any]:
-    """Makes one step of the optimizer with own rows; returns the scene and the optimizer's state."""
-    leaves, tree = jax.tree.flatten(state.opt_state)
-    is_row = [place == ROWS for place in jax.tree.leaves(placement(state).opt_state)]
-    by_row = [leaf for leaf, row in zip(leaves, is_row, strict=True) if row]
-    living = lax.psum(jnp.sum(state.gaussians.opacity_logits > -jnp.inf), AXIS)
-    progress = state.step / state.total
+    """Makes one step of the optimizer with own rows; returns the scene and the optimizer's state.
 
-    def block(number, gaussians, gradients, by_row, depths):
-        prior = jax.grad(recipe.objective.prior)(gaussians, state.extent, living)
-        gradients = jax.tree.map(lambda a, b: a + jnp.where(move.good, b, 0), gradients, prior)
-        reach = jnp.mean(jax.vmap(recipe.optimizer.reach, (1, None), 1)(depths, state.extent), axis=1)
-        rates = move.rates.at(progress, reach, gradients.sh.shape[1])
-        rates = jax.tree.map(lambda leaf: jnp.where(move.good, leaf, 0), rates)
+    The noise of each block of rows has a key of its own. `places` is the placement of the optimizer's state.
+    """
+    rule = rule_of(recipe)
+    if rule is not None and draws_as_kernels(noise_key):
+        keys = jax.vmap(partial(jax.random.fold_in, noise_key))(own_blocks(len(rows.gaussians)))
+        return by_kernel(rows, pace, rule, jax.random.key_data(keys), BLOCK, recipe)
+
+    leaves, tree = jax.tree.flatten(rows.opt_state)
+    is_row = [place == ROWS for place in jax.tree.leaves(places)]
+    by_row = [leaf for leaf, row in zip(leaves, is_row, strict=True) if row]
+
+    def block(number, gaussians, gradients, by_row, reach):
         own = iter(by_row)
         opt_state = jax.tree.unflatten(
             tree, [next(own) if row else leaf for leaf, row in zip(leaves, is_row, strict=True)]
         )
-        gaussians, opt_state = optimizer.update(gaussians, gradients, opt_state, rates, recipe.optimizer.rule)
-        gaussians = lax.optimization_barrier(gaussians)
-        key = jax.random.fold_in(move.noise_key, number)
-        gaussians = recipe.optimizer.noise(gaussians, rates.means[:, 0], state.extent, key)
+        key = jax.random.fold_in(noise_key, number)
+        gaussians, opt_state = by_optax(Rows(gaussians, gradients, opt_state, reach), pace, key, recipe)
         return gaussians, jax.tree.leaves(opt_state)
 
-    gaussians, moved = by_block(block, state.gaussians, gradients, by_row, depths)
+    gaussians, moved = by_block(block, rows.gaussians, rows.gradients, by_row, rows.reach)
     # What is not by row, such as a step count, is equal after every block.
     moved = [
         new if row else new.reshape(-1, *old.shape)[0]

@@ -9,6 +9,7 @@ from splatax.backends import fused_loss, projection_kernels
 from splatax.backends.cpu import library
 from splatax.backends.cpu.composite import MAX_PAIRS, composite, select
 from splatax.backends.cpu.library import ALL_THREADS, Build
+from splatax.backends.cpu.moving import move
 from splatax.backends.cpu.photometric import with_gradient
 from splatax.backends.cpu.projection import projections
 from splatax.backends.cpu.views import NativeDrawing
@@ -34,6 +35,7 @@ def kernels(
         composite=rasterizer,
         select=partial(select, build=build, max_pairs=max_pairs),
         photometric=partial(fused_loss.photometric, kernel=partial(with_gradient, build=build)),
+        move=partial(move, build=build),
         why_unavailable=partial(library.why_unavailable, instructions),
         dtypes=("float32",),
         draw=NativeDrawing(build, max_pairs, projection, rasterizer),

@@ -6,7 +6,7 @@ nothing: XLA calls them as foreign functions.
 
 import ctypes
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -43,6 +43,7 @@ class Build:
         arrays: Sequence[Array],
         *,
         batches: bool = False,
+        aliases: Mapping[int, int] | None = None,
         **options: np.int64 | np.float32,
     ) -> Sequence[Array]:
         """Calls a function of the library.
@@ -54,12 +55,13 @@ class Build:
                 dtypes, and shapes that do not fit together.
             batches: whether the function takes leading axes of `jax.vmap`, of length 1 for arrays that a
                 batch shares. If not, it is called once for each element.
+            aliases: place of an argument -> place of the result that may take its memory.
             options: further arguments, static under `jit`.
         """
         target = register(self.instructions or best_instructions(), symbol)
         method = "expand_dims" if batches else "sequential"
         settings = {"threads": np.int64(self.threads), **options}
-        return foreign.call(target, shapes, arrays, settings, method)
+        return foreign.call(target, shapes, arrays, settings, method, aliases)
 
 
 def why_unavailable(instructions: str | None) -> str | None:

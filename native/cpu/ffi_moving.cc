@@ -1,0 +1,102 @@
+// XLA custom call of the step of Adam by row.
+#include <cmath>
+#include <cstring>
+
+#include "ffi.h"
+#include "harmonics.h"
+#include "moving.h"
+
+namespace splatax {
+namespace {
+
+using Keys = ffi::Buffer<ffi::U32>;
+
+// Fields of a scene, of its gradients, or of moments.
+template <class Array>
+struct FieldArrays {
+  Array &means, &quats, &log_scales, &opacity_logits, &sh;
+
+  void check(Checks& checks, int64_t n, int64_t k) const {
+    checks.shape("means", means, {n, 3}).shape("quats", quats, {n, 4}).shape("log_scales", log_scales, {n, 3});
+    checks.shape("opacity_logits", opacity_logits, {n}).shape("sh", sh, {n, k, 3});
+  }
+};
+
+// Returns a result that holds an argument. XLA gives both one buffer where it can.
+float* held(const FloatArray& from, FloatResult& to) {
+  if (to->typed_data() != from.typed_data()) std::memcpy(to->typed_data(), from.typed_data(), from.size_bytes());
+  return to->typed_data();
+}
+Fields<float> held(const FieldArrays<FloatArray>& from, const FieldArrays<FloatResult>& to) {
+  return {held(from.means, to.means), held(from.quats, to.quats), held(from.log_scales, to.log_scales),
+          held(from.opacity_logits, to.opacity_logits), held(from.sh, to.sh)};
+}
+
+// Reports numbers with which a step would spoil the scene.
+void check_numbers(Checks& checks, const float* numbers) {
+  for (int i = 0; i < MOVE_NUMBERS; ++i) {
+    checks.require(std::isfinite(numbers[i]), "number " + std::to_string(i) + " of the step is not finite");
+  }
+  for (const MoveNumber decay : {MEAN_DECAY, SQUARE_DECAY}) {
+    checks.require(numbers[decay] >= 0 && numbers[decay] < 1, "a decay is not in [0, 1)");
+  }
+  checks.require(numbers[EPSILON] > 0, "epsilon is not positive");
+}
+
+ffi::Error move(ffi::ThreadPool threads, FloatArray means, FloatArray quats, FloatArray log_scales, FloatArray opacity_logits,
+                FloatArray sh, FloatArray d_means, FloatArray d_quats, FloatArray d_log_scales, FloatArray d_opacity_logits,
+                FloatArray d_sh, FloatArray m_means, FloatArray m_quats, FloatArray m_log_scales,
+                FloatArray m_opacity_logits, FloatArray m_sh, FloatArray s_means, FloatArray s_quats, FloatArray s_log_scales,
+                FloatArray s_opacity_logits, FloatArray s_sh, FloatArray numbers, FloatArray mean_rates, FloatArray sh_rates,
+                FloatArray sh_free, Keys keys, FloatResult new_means, FloatResult new_quats, FloatResult new_log_scales,
+                FloatResult new_opacity_logits, FloatResult new_sh, FloatResult new_m_means, FloatResult new_m_quats,
+                FloatResult new_m_log_scales, FloatResult new_m_opacity_logits, FloatResult new_m_sh, FloatResult new_s_means,
+                FloatResult new_s_quats, FloatResult new_s_log_scales, FloatResult new_s_opacity_logits, FloatResult new_s_sh,
+                int64_t thread_limit, int64_t block) {
+  const FieldArrays<FloatArray> scene{means, quats, log_scales, opacity_logits, sh};
+  const FieldArrays<FloatArray> gradients{d_means, d_quats, d_log_scales, d_opacity_logits, d_sh};
+  const FieldArrays<FloatArray> mean{m_means, m_quats, m_log_scales, m_opacity_logits, m_sh};
+  const FieldArrays<FloatArray> square{s_means, s_quats, s_log_scales, s_opacity_logits, s_sh};
+  const FieldArrays<FloatResult> new_scene{new_means, new_quats, new_log_scales, new_opacity_logits, new_sh};
+  const FieldArrays<FloatResult> new_mean{new_m_means, new_m_quats, new_m_log_scales, new_m_opacity_logits, new_m_sh};
+  const FieldArrays<FloatResult> new_square{new_s_means, new_s_quats, new_s_log_scales, new_s_opacity_logits, new_s_sh};
+  Checks checks;
+  const auto [n, k, three] = checks.sizes<3>("sh", sh);
+  const auto [rates] = checks.sizes<1>("mean_rates", mean_rates);
+  checks.range("the number of Gaussians", n, 0, MOST_ROWS).range("the number of SH coefficients", k, 1, MAX_COEFFICIENTS);
+  checks.range("the rows of a block", block, 1, MOST_ROWS);
+  if (checks.failed()) return checks.error("move");
+  for (const auto& fields : {scene, gradients, mean, square}) fields.check(checks, n, k);
+  for (const auto& fields : {new_scene, new_mean, new_square}) fields.check(checks, n, k);
+  checks.shape("numbers", numbers, {MOVE_NUMBERS}).shape("mean_rates", mean_rates, {rates == 1 ? 1 : n});
+  checks.shape("sh_rates", sh_rates, {k}).shape("sh_free", sh_free, {k}).shape("keys", keys, {(n + block - 1) / block, 2});
+  checks.require(block >= n || block % 16 == 0, "the rows of a block are no multiple of 16");  // which move together
+  if (checks.failed()) return checks.error("move");
+  check_numbers(checks, numbers.typed_data());
+  if (checks.failed()) return checks.error("move");
+  return guarded("move", [&, n = n, k = k, rates = rates] {
+    if (n == 0) return;
+    Workers workers(threads, thread_limit);
+    move_rows({numbers.typed_data(), mean_rates.typed_data(), rates != 1, sh_rates.typed_data(), sh_free.typed_data(),
+               keys.typed_data(), static_cast<int>(block), static_cast<int>(n), static_cast<int>(k),
+               {d_means.typed_data(), d_quats.typed_data(), d_log_scales.typed_data(), d_opacity_logits.typed_data(),
+                d_sh.typed_data()},
+               held(scene, new_scene), held(mean, new_mean), held(square, new_square)},
+              workers);
+  });
+}
+
+}  // namespace
+}  // namespace splatax
+
+#pragma GCC visibility push(default)
+
+using namespace splatax;
+
+// (the fields of a scene, of its gradients, of the first and of the second moments: means [n 3], quats [n 4],
+// log_scales [n 3], opacity_logits [n], sh [n k 3]; numbers as MoveNumber, mean_rates [1 or n], sh_rates [k],
+// sh_free [k], keys [b 2]) -> the fields of the moved scene and of its moments
+XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_move, move,
+                              results<15>(arrays<24>(call()).Arg<Keys>()).Attr<int64_t>("threads").Attr<int64_t>("block"));
+
+#pragma GCC visibility pop

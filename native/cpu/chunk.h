@@ -69,6 +69,17 @@ inline uint32_t live_blocks(const float (*transmittance)[LANES]) {
   return live;
 }
 
+// Turns the splats that touch each live block into the blocks that each splat touches, one bit each.
+inline void find_live_blocks(const uint64_t* touching, uint32_t live, uint16_t blocks[CHUNK]) {
+  std::fill_n(blocks, CHUNK, uint16_t{0});
+  for (int b = 0; b < BLOCKS; ++b) {
+    if (!(live >> b & 1)) continue;
+    for (uint64_t left_over = touching[b]; left_over; left_over &= left_over - 1) {
+      blocks[__builtin_ctzll(left_over)] |= static_cast<uint16_t>(1u << b);
+    }
+  }
+}
+
 // Calls body(chunk, touching, first) for each chunk of a tile's list in order, while a block is live.
 // `first` is the position of the chunk's first splat in the list.
 template <int C, class Body>
@@ -96,15 +107,13 @@ struct PixelCentres {
 };
 
 // Effect of a splat on a block of pixels; forward and backward passes must agree bit by bit.
-struct Blend {
-  Lanes t, s;                       // along the axes of its square root
+struct Effect {
   Lanes raw, alpha, weight, after;  // opacity G; clamped, garbage where not drawn; T alpha; T behind it
   Mask drawn, alive;                // where it is drawn; where later splats may be
 
-  SPLATAX_INLINE Blend(const Chunk& chunk, int i, Lanes x, Lanes y, Lanes transmittance, Mask alive_before) {
-    const Lanes dx = x - broadcast(chunk.x[i]), dy = y - broadcast(chunk.y[i]);
-    t = multiply_add(broadcast(chunk.u[i]), dx, broadcast(chunk.v[i]) * dy), s = broadcast(chunk.w[i]) * dy;
-    const Lanes exponent = multiply_subtract_from(s, s, multiply_subtract_from(t, t, broadcast(chunk.level[i])));
+ protected:
+  // From log2 of its raw alpha.
+  SPLATAX_INLINE void blend(Lanes exponent, Lanes transmittance, Mask alive_before) {
     const Mask seen = (broadcast(LOG2_MIN_ALPHA) <= exponent) & alive_before;
     raw = exp2(exponent);
     alpha = min(raw, broadcast(MAX_ALPHA));
@@ -114,6 +123,34 @@ struct Blend {
     weight = or_zero(drawn, alpha * transmittance);
     after = where(drawn, left, transmittance);
   }
+};
+
+// Effect of an ellipse.
+struct Blend : Effect {
+  Lanes t, s;  // along the axes of its square root
+
+  SPLATAX_INLINE Blend(const Chunk& chunk, int i, Lanes x, Lanes y, Lanes transmittance, Mask alive_before) {
+    const Lanes dx = x - broadcast(chunk.x[i]), dy = y - broadcast(chunk.y[i]);
+    t = multiply_add(broadcast(chunk.u[i]), dx, broadcast(chunk.v[i]) * dy), s = broadcast(chunk.w[i]) * dy;
+    const Lanes exponent = multiply_subtract_from(s, s, multiply_subtract_from(t, t, broadcast(chunk.level[i])));
+    blend(exponent, transmittance, alive_before);
+  }
+};
+
+// The splats of a chunk as ellipses, with C channels in the chunk itself.
+template <int C>
+class Ellipses {
+ public:
+  static constexpr int CHANNELS = C;  // that a chunk gathers
+
+  void gather(const Input&, const Tile&, const Chunk& chunk, int) { chunk_ = &chunk; }
+  SPLATAX_INLINE Blend blend(int i, Lanes x, Lanes y, Lanes transmittance, Mask alive) const {
+    return Blend(*chunk_, i, x, y, transmittance, alive);
+  }
+  SPLATAX_INLINE Lanes channel(int i, int c) const { return broadcast(chunk_->channels[c][i]); }
+
+ private:
+  const Chunk* chunk_ = nullptr;
 };
 
 }  // namespace splatax

@@ -35,6 +35,14 @@ SPLATAX_INLINE void write_partials(const float* sums, float dx, float dy, float*
   for (int k = MOMENTS; k < PARTIALS; ++k) partials[k] = sums[k];
 }
 
+// g_i, from w_i s_i and the sum of w_j s_j behind.
+SPLATAX_INLINE Lanes opacity_gradient(const Effect& step, Lanes own, Lanes behind) {
+  // A clamped alpha does not depend on the splat.
+  const Mask flexible = step.drawn & (step.raw <= broadcast(MAX_ALPHA));
+  const Lanes odds = step.alpha * reciprocal(broadcast(1) - step.alpha);
+  return or_zero(flexible, multiply_subtract_from(odds, behind, own));
+}
+
 // Where the sums of a pair are in its partials, after the moments; only the first `used` floats are written.
 struct Layout {
   int used, channels, pull;
@@ -55,13 +63,8 @@ struct TileGradient {
     auto* partials = reinterpret_cast<float(*)[PARTIALS]>(all_partials);
     uint32_t live = live_blocks(transmittance);
     each_chunk<C>(tile, live, [&](const Chunk& chunk, const uint64_t* touching, int first) {
-      uint16_t blocks[CHUNK] = {};
-      for (int b = 0; b < BLOCKS; ++b) {
-        if (!(live >> b & 1)) continue;
-        for (uint64_t left_over = touching[b]; left_over; left_over &= left_over - 1) {
-          blocks[__builtin_ctzll(left_over)] |= static_cast<uint16_t>(1u << b);
-        }
-      }
+      uint16_t blocks[CHUNK];
+      find_live_blocks(touching, live, blocks);
       for (int i = 0; i < chunk.size && live; ++i) {
         if (!(blocks[i] & live)) continue;
         const int32_t index = tile.pairs[first + i].index;
@@ -96,10 +99,7 @@ struct TileGradient {
         total[MOMENTS + c] = multiply_add(step.weight, d, total[MOMENTS + c]);
       }
       const Lanes own = step.weight * value, still_behind = load(behind[b]) - own;
-      // A clamped alpha does not depend on the splat.
-      const Mask flexible = step.drawn & (step.raw <= broadcast(MAX_ALPHA));
-      const Lanes odds = step.alpha * reciprocal(broadcast(1) - step.alpha);
-      const Lanes g = or_zero(flexible, multiply_subtract_from(odds, still_behind, own));
+      const Lanes g = opacity_gradient(step, own, still_behind);
       const Lanes x = centres.x + broadcast(column - TILE / 2), y = centres.y + broadcast(row - TILE / 2);
       const Lanes gx = g * x, gy = g * y;
       total[0] = total[0] + g, total[1] = total[1] + gx, total[2] = total[2] + gy;

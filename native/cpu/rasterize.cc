@@ -6,28 +6,6 @@
 namespace splatax {
 namespace {
 
-// Draws up to GROUP channels, and alpha.
-template <int C>
-void draw_few(const Input& input, const Image& image, Workers& workers, Scratch& scratch) {
-  Binning& binning = scratch.binning;
-  const int size = input.channel_count;
-  binning.load_channels(input, workers);
-  TileStates<TileImage<C>> states(binning, scratch);
-  each_round(binning, workers, [&](const Round& round) {
-    states.each_tile(workers, [&](const Tile& tile, TileImage<C>& state) {
-      if (round.begin == 0) state.clear(input, tile);
-      state.blend(tile, [](const Blend&) {});
-      if (round.end < binning.visible) return;
-      each_pixel(input, tile, [&](int b, int lane, size_t pixel) {
-        float* sums = image.sums + pixel * size;
-        for (int c = 0; c < size; ++c) sums[c] = state.sums[c][b][lane];
-        const float T = state.transmittance[b][lane];
-        image.alpha[pixel] = 1 - (T < 0 ? -T : T);
-      });
-    });
-  });
-}
-
 // Draws one part of the channels; with the first part, alpha.
 template <int W>
 void draw_part(const Input& input, const Image& image, Part part, Workers& workers, Scratch& scratch) {
@@ -54,8 +32,9 @@ void rasterize(const Input& input, const Image& image, Workers& workers, Scratch
                int64_t max_pairs) {
   scratch.binning.collect(input, workers, pairs_in_round(input, max_pairs));
   if (input.channel_count <= GROUP) {
-    const auto draw = input.channel_count == 3 ? draw_few<3> : draw_few<GROUP>;
-    return draw(input, image, workers, scratch);
+    const auto draw = input.channel_count == 3 ? draw_tiles<3> : draw_tiles<GROUP>;
+    scratch.binning.load_channels(input, workers);
+    return draw(input, image, input.channel_count, workers, scratch);
   }
   const int width = walk_width(input, scratch.binning, max_pairs);
   const auto draw = width == WIDE_WALK ? draw_part<WIDE_WALK> : draw_part<NARROW_WALK>;

@@ -12,7 +12,7 @@ void count_slots(const Input& input, int32_t (*slots)[2], Workers& workers, Scra
     states.each_tile(workers, [&](const Tile& tile, TileImage<0>& state) {
       int32_t(&counts)[2] = slots[tile.number];
       if (round.begin == 0) state.clear(input, tile), counts[0] = counts[1] = 0;
-      state.blend(tile, [&](const Blend& step) {
+      state.blend(input, tile, [&](const Effect& step) {
         counts[0] += LANES, counts[1] += __builtin_popcount(bits(step.drawn));
       });
     });

@@ -2,30 +2,17 @@
 
 #include <cstring>
 
-#include "reduction.h"
-#include "tiles.h"
+#include "blending.h"
+#include "gradient.h"
 
 namespace splatax {
 namespace {
 
-// The rows of a chunk's splats.
-struct SlantedChunk {
-  alignas(64) SlantedRow rows[CHUNK];
-
-  void gather(const Input& input, const Tile& tile, int first, int count) {
-    for (int i = 0; i < count; ++i) {
-      const size_t row = tile.splats[tile.pairs[first + i].splat].row;
-      std::memcpy(&rows[i], input.channels + row * SLANTED_ROW, sizeof(SlantedRow));
-    }
-  }
-};
-
-// Effect of a splat on a block of pixels, as `Blend` for ellipses.
-struct SlantedBlend {
+// Effect of a slanted splat, as `Blend` that of an ellipse.
+struct SlantedBlend : Effect {
   Lanes dx, dy, t, s, ahead, hx, hy;  // (hx, hy) = H d
   Lanes inverse, q;                   // of the denominator, 1 where the blur is drawn
-  Lanes raw, alpha, weight, after;
-  Mask met, drawn, alive;  // met: false where the blur is drawn
+  Mask met;                           // false where the blur is drawn
 
   SPLATAX_INLINE SlantedBlend(const SlantedRow& row, Lanes x, Lanes y, Lanes transmittance, Mask alive_before) {
     dx = x - broadcast(row.x), dy = y - broadcast(row.y);
@@ -39,59 +26,25 @@ struct SlantedBlend {
     met = (broadcast(0) < ahead) & (across < blur * along);
     inverse = reciprocal(where(met, along, broadcast(1)));
     q = where(met, across * inverse, blur);
-    const Lanes exponent = broadcast(row.level) - q;
-    const Mask seen = (broadcast(LOG2_MIN_ALPHA) <= exponent) & alive_before;
-    raw = exp2(max(exponent, broadcast(-100)));
-    alpha = min(raw, broadcast(MAX_ALPHA));
-    const Lanes left = multiply_subtract_from(alpha, transmittance, transmittance);
-    drawn = seen & (broadcast(MIN_TRANSMITTANCE) <= left);
-    alive = and_not(alive_before, and_not(seen, drawn));
-    weight = or_zero(drawn, alpha * transmittance);
-    after = where(drawn, left, transmittance);
+    blend(max(broadcast(row.level) - q, broadcast(-100)), transmittance, alive_before);
   }
 };
 
-struct SlantedImage {
-  alignas(64) float transmittance[BLOCKS][LANES];  // as in `TileImage`
-  alignas(64) float sums[GROUP][BLOCKS][LANES];
+// The rows of a chunk's splats, as `Ellipses`.
+struct SlantedChunk {
+  static constexpr int CHANNELS = 0;
+  alignas(64) SlantedRow rows[CHUNK];
 
-  void clear(const Input& input, const Tile& tile) {
-    std::memset(sums, 0, sizeof sums);
-    let_light_through(input, tile, transmittance);
-  }
-
-  void blend(const Input& input, const Tile& tile) {
-    uint32_t live = live_blocks(transmittance);
-    SlantedChunk rows;
-    each_chunk<0>(tile, live, [&](const Chunk& chunk, const uint64_t* touching, int first) {
-      rows.gather(input, tile, first, chunk.size);
-      for (int b = 0; b < BLOCKS; ++b) {
-        if ((live >> b & 1) && touching[b] && !blend_block(rows, touching[b], b, tile)) live &= ~(1u << b);
-      }
-    });
-  }
-
- private:
-  // Blends the splats whose bits are set; returns false once all pixels of the block are finished.
-  bool blend_block(const SlantedChunk& chunk, uint64_t touching, int b, const Tile& tile) {
-    const PixelCentres centres;
-    const Lanes x = centres.x + broadcast(tile.left + block_left(b)), y = centres.y + broadcast(tile.top + block_top(b));
-    const Lanes before = load(transmittance[b]);
-    Mask alive = broadcast(0) <= before;
-    Lanes T = max(before, broadcast(0) - before);
-    Lanes sum[GROUP];
-    for (int c = 0; c < GROUP; ++c) sum[c] = load(sums[c][b]);
-    for (; touching; touching &= touching - 1) {
-      const SlantedRow& row = chunk.rows[__builtin_ctzll(touching)];
-      const SlantedBlend step(row, x, y, T, alive);
-      for (int c = 0; c < GROUP; ++c) sum[c] = multiply_add(step.weight, broadcast(row.channels[c]), sum[c]);
-      T = step.after, alive = step.alive;
-      if (!any(alive)) break;
+  void gather(const Input& input, const Tile& tile, const Chunk& chunk, int first) {
+    for (int i = 0; i < chunk.size; ++i) {
+      const size_t row = tile.splats[tile.pairs[first + i].splat].row;
+      std::memcpy(&rows[i], input.channels + row * SLANTED_ROW, sizeof(SlantedRow));
     }
-    store(transmittance[b], where(alive, T, broadcast(0) - T));
-    for (int c = 0; c < GROUP; ++c) store(sums[c][b], sum[c]);
-    return any(alive);
   }
+  SPLATAX_INLINE SlantedBlend blend(int i, Lanes x, Lanes y, Lanes transmittance, Mask alive) const {
+    return SlantedBlend(rows[i], x, y, transmittance, alive);
+  }
+  SPLATAX_INLINE Lanes channel(int i, int c) const { return broadcast(rows[i].channels[c]); }
 };
 
 // Front to back from the final sums, as `TileGradient`.
@@ -121,14 +74,9 @@ struct SlantedGradient {
     uint32_t live = live_blocks(transmittance);
     SlantedChunk rows;
     each_chunk<0>(tile, live, [&](const Chunk& chunk, const uint64_t* touching, int first) {
-      rows.gather(input, tile, first, chunk.size);
-      uint16_t blocks[CHUNK] = {};
-      for (int b = 0; b < BLOCKS; ++b) {
-        if (!(live >> b & 1)) continue;
-        for (uint64_t left_over = touching[b]; left_over; left_over &= left_over - 1) {
-          blocks[__builtin_ctzll(left_over)] |= static_cast<uint16_t>(1u << b);
-        }
-      }
+      rows.gather(input, tile, chunk, first);
+      uint16_t blocks[CHUNK];
+      find_live_blocks(touching, live, blocks);
       for (int i = 0; i < chunk.size && live; ++i) {
         if (!(blocks[i] & live)) continue;
         const int32_t index = tile.pairs[first + i].index;
@@ -160,10 +108,7 @@ struct SlantedGradient {
         total[14 + c] = multiply_add(step.weight, d, total[14 + c]);
       }
       const Lanes own = step.weight * value, still_behind = load(behind[b]) - own;
-      // A clamped alpha does not depend on the splat.
-      const Mask flexible = step.drawn & (step.raw <= broadcast(MAX_ALPHA));
-      const Lanes odds = step.alpha * reciprocal(broadcast(1) - step.alpha);
-      const Lanes g = or_zero(flexible, multiply_subtract_from(odds, still_behind, own));
+      const Lanes g = opacity_gradient(step, own, still_behind);
       const Lanes k = or_zero(step.met, g * step.inverse), l = k * step.q, e = where(step.met, broadcast(0), g);
       const Lanes kx = k * step.dx, ky = k * step.dy, lx = l * step.dx, ly = l * step.dy;
       const Lanes ex = e * step.dx, ey = e * step.dy;
@@ -233,21 +178,8 @@ void add_gradient(const Input& input, const Cotangents& cotangents, float* sums,
 }  // namespace
 
 void slanted(const Input& input, const Image& image, Workers& workers, Scratch& scratch, int64_t max_pairs) {
-  Binning& binning = scratch.binning;
-  binning.collect(input, workers, std::max<int64_t>(max_pairs / 2, 1));
-  TileStates<SlantedImage> states(binning, scratch);
-  each_round(binning, workers, [&](const Round& round) {
-    states.each_tile(workers, [&](const Tile& tile, SlantedImage& state) {
-      if (round.begin == 0) state.clear(input, tile);
-      state.blend(input, tile);
-      if (round.end < binning.visible) return;
-      each_pixel(input, tile, [&](int b, int lane, size_t pixel) {
-        for (int c = 0; c < GROUP; ++c) image.sums[pixel * GROUP + c] = state.sums[c][b][lane];
-        const float T = state.transmittance[b][lane];
-        image.alpha[pixel] = 1 - (T < 0 ? -T : T);
-      });
-    });
-  });
+  scratch.binning.collect(input, workers, std::max<int64_t>(max_pairs / 2, 1));
+  draw_tiles<GROUP, SlantedChunk>(input, image, GROUP, workers, scratch);
 }
 
 void slanted_gradient(const Input& input, const Cotangents& cotangents, bool pulled, float* sums, Workers& workers,

@@ -31,10 +31,10 @@ from jaxtyping import Array, Bool, Float
 
 from splatax.cameras import Camera
 from splatax.footprints import EWA, Method
-from splatax.gaussians import Gaussians, is_sound
+from splatax.gaussians import Gaussians
 from splatax.low_pass import AlongRays
 from splatax.math import ellipsoids, harmonics, quaternions
-from splatax.projection import MAX_LOG_SCALE, Projected, direction, overlaps_image, splats_of
+from splatax.projection import MAX_LOG_SCALE, Projected, direction, overlaps_image, placed, splats_of
 from splatax.splats import MIN_ALPHA, Splats
 
 FLATTEST = -20.0  # log of the ratio of two scales below which flatter Gaussians are treated alike
@@ -148,19 +148,9 @@ def _one(
     low_pass: AlongRays,
 ) -> Slanted:
     """Projects one Gaussian; `position` is the camera's, computed once for all of them."""
-    # Operands are replaced before use, so that culled rows do not propagate NaN in the backward pass.
-    sound = is_sound(mean, quat, log_scale, logit, sh)
-    mean, quat, log_scale, logit, sh = (
-        jnp.where(sound, field, 0) for field in (mean, quat, log_scale, logit, sh)
+    mean, quat, log_scale, logit, sh, point, seen = placed(
+        (mean, quat, log_scale, logit, sh), camera, position
     )
-    point = camera.rotation @ mean + camera.translation
-    seen = sound & camera.lens.sees(point)
-    ahead = jnp.array([0, 0, 1], point.dtype)  # what every lens sees
-    mean = jnp.where(seen, mean, position + camera.rotation.T @ ahead)
-    point = camera.to_camera(mean)
-    seen &= camera.lens.sees(point)
-    point = jnp.where(seen, point, ahead)
-
     axes = quaternions.to_rotation(quat)
     scale = jnp.exp(jnp.minimum(log_scale, MAX_LOG_SCALE))
     jacobian = jax.jacfwd(camera.lens.project)(point) * camera.focal[:, None]

@@ -6,6 +6,7 @@ W is the camera's rotation and J the Jacobian of the lens at the mean; `footprin
 transform. The code keeps the 2 x 3 factor J W R S instead of Sigma: see `math.ellipsoids`.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -76,6 +77,41 @@ def splats_of(rows: Projected, camera: Camera) -> Splats:
     )
 
 
+class Placed(NamedTuple):
+    """A Gaussian whose numbers are safe to compute with, and its mean as the camera sees it.
+
+    Operands are replaced before use, so that culled rows do not propagate NaN in the backward pass.
+    """
+
+    mean: Float[Array, "3"]  # world
+    quat: Float[Array, "4"]
+    log_scale: Float[Array, "3"]
+    logit: Float[Array, ""]
+    sh: Float[Array, "k 3"]
+    point: Float[Array, "3"]  # the mean in camera axes; if it is not seen, a point that every lens sees
+    seen: Bool[Array, ""]  # whether all numbers are valid and the lens sees the mean
+
+
+def placed(fields: Sequence[Array], camera: Camera, position: Float[Array, "3"]) -> Placed:
+    """Returns a Gaussian that is safe to compute with, and where the camera sees it.
+
+    Args:
+        fields: mean, quaternion, log scale, opacity logit and SH of one Gaussian.
+        camera: camera of the view.
+        position: `camera.position`, computed once for all Gaussians.
+    """
+    sound = is_sound(*fields)
+    mean, quat, log_scale, logit, sh = (jnp.where(sound, field, 0) for field in fields)
+    point = camera.rotation @ mean + camera.translation
+    seen = sound & camera.lens.sees(point)
+    ahead = jnp.array([0, 0, 1], point.dtype)
+    if camera.motion is not None:
+        mean = jnp.where(seen, mean, position + camera.rotation.T @ ahead)
+        point = camera.to_camera(mean)
+        seen &= camera.lens.sees(point)
+    return Placed(mean, quat, log_scale, logit, sh, jnp.where(seen, point, ahead), seen)
+
+
 def project_one(
     mean: Float[Array, "3"],
     quat: Float[Array, "4"],
@@ -88,22 +124,9 @@ def project_one(
     method: Method,
 ) -> Projected:
     """Projects one Gaussian; `position` is the camera's, computed once for all of them."""
-    # Operands are replaced before use, so that culled rows do not propagate NaN in the backward pass.
-    sound = is_sound(mean, quat, log_scale, logit, sh)
-    mean, quat, log_scale, logit, sh = (
-        jnp.where(sound, field, 0) for field in (mean, quat, log_scale, logit, sh)
+    mean, quat, log_scale, logit, sh, point, seen = placed(
+        (mean, quat, log_scale, logit, sh), camera, position
     )
-    point = camera.rotation @ mean + camera.translation
-    seen = sound & camera.lens.sees(point)
-    ahead = jnp.array([0, 0, 1], point.dtype)  # what every lens sees
-    if camera.motion is None:
-        point = jnp.where(seen, point, ahead)
-    else:
-        mean = jnp.where(seen, mean, position + camera.rotation.T @ ahead)
-        point = camera.to_camera(mean)
-        seen &= camera.lens.sees(point)
-        point = jnp.where(seen, point, ahead)
-
     scale = jnp.exp(jnp.minimum(log_scale, MAX_LOG_SCALE))
     found = method(camera, mean, point, ellipsoids.covariance_factor(quat, scale))
     usable = seen & found.usable & jnp.isfinite(jnp.sum(jnp.square(jnp.sum(found.rows * found.rows))))

@@ -108,6 +108,6 @@ def test_the_validator_finds_nothing_but_the_extensions_that_it_does_not_know(
 def test_the_validator_finds_a_defect(messages_about, tmp_path):
     """So that the tests above cannot pass because it looks at nothing."""
     write_body(tmp_path / "a.glb")
-    contents = (tmp_path / "a.glb").read_bytes().replace(b'"translation"', b'"transportion"', 1)
+    contents = (tmp_path / "a.glb").read_bytes().replace(b'"translation"', b'"transl4tion"', 1)
     (tmp_path / "a.glb").write_bytes(contents)
     assert "UNEXPECTED_PROPERTY" in {code for code, *_ in messages_about(tmp_path / "a.glb")}

@@ -43,7 +43,7 @@ class Build:
         arrays: Sequence[Array],
         *,
         batches: bool = False,
-        **options: np.int64 | np.float32,
+        **options: np.int64 | np.float32 | np.ndarray,
     ) -> Sequence[Array]:
         """Calls a function of the library.
 

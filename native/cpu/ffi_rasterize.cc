@@ -6,6 +6,7 @@
 #include "roofline.h"
 #include "scratch_pool.h"
 #include "select.h"
+#include "survey.h"
 #include "tangent.h"
 #include "views.h"
 #include "wide.h"
@@ -177,6 +178,40 @@ ffi::Error select_splats(ffi::ThreadPool threads, FloatArray means2d, FloatArray
   });
 }
 
+ffi::Error survey_splats(ffi::ThreadPool threads, FloatArray means2d, FloatArray sqrt_conics, FloatArray depths,
+                         FloatArray extents, FloatArray opacities, FloatArray channels, FloatResult sums, FloatResult alpha,
+                         FloatResult parts, Counts median, int64_t thread_limit, int64_t max_pairs,
+                         ffi::Span<const int64_t> sizes) {
+  const SplatArrays splats{means2d, sqrt_conics, depths, extents, opacities, channels};
+  const Batch batch(median, 2);
+  Checks checks(batch);
+  const auto [n, c] = splats.check(checks);
+  const auto [h, w] = checks.sizes<2>("alpha", alpha);
+  const int64_t part_count = static_cast<int64_t>(sizes.size());
+  check_size(checks, w, h, max_pairs);
+  checks.range("the number of splats", n, 0, MOST_SELECTABLE).range("the number of channels", c, 0, GROUP);
+  checks.range("the number of parts", part_count, 0, MOST_PARTS);
+  checks.shape("sums", sums, {h, w, c}).shape("alpha", alpha, {h, w}).shape("parts", parts, {h, w, part_count});
+  checks.shape("median", median, {h, w});
+  int64_t rows = 0;
+  for (const int64_t size : sizes) rows += checks.range("the size of a part", size, 0, n).failed() ? 0 : size;
+  if (part_count > 0) checks.range("the number of rows of all parts", rows, n, n);
+  if (checks.failed()) return checks.error("survey");
+  return guarded("survey", [&, h = h, w = w] {
+    std::vector<uint8_t> part_of;
+    for (int64_t part = 0; part < part_count; ++part) part_of.insert(part_of.end(), sizes[part], static_cast<uint8_t>(part));
+    Workers all(threads, thread_limit);
+    auto scratch = pool.take();
+    scratch->ticket = 0;
+    each_view(batch.views(), all, *scratch, [&](int view, Workers& workers, Scratch& memory) {
+      const Survey results{{batch.of(sums, view), batch.of(alpha, view)}, batch.of(parts, view), batch.of(median, view),
+                           part_of.data(), static_cast<int>(part_count)};
+      survey(splats.input(batch, view, w, h), results, workers, memory, max_pairs);
+    });
+    pool.give_back(std::move(scratch));
+  });
+}
+
 ffi::Error slots(ffi::ThreadPool threads, FloatArray means2d, FloatArray sqrt_conics, FloatArray depths, FloatArray extents,
                  FloatArray opacities, FloatArray channels, Counts counts, int64_t thread_limit, int64_t max_pairs,
                  int64_t width, int64_t height) {
@@ -233,6 +268,11 @@ XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_rasterize_tangent, rasterize_forward_mode,
 // (the six of splatax_rasterize_forward) -> (rows [h w k], weights [h w k], median [h w])
 XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_select, select_splats,
                               with_settings(results<1>(arrays<6>(call()).Ret<Ticket>()).Ret<Ticket>()));
+
+// (the six of splatax_rasterize_forward, with up to 4 channels) -> (sums [h w c], alpha [h w], parts [h w p], median [h w])
+XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_survey, survey_splats,
+                              with_settings(results<3>(arrays<6>(call())).Ret<Ticket>())
+                                  .Attr<ffi::Span<const int64_t>>("sizes"));
 
 // (the six of splatax_rasterize_forward) -> counts [tiles 2]
 XLA_FFI_DEFINE_HANDLER_SYMBOL(

@@ -1,24 +1,10 @@
 #include "select.h"
 
+#include "marks.h"
 #include "tiles.h"
 
 namespace splatax {
 namespace {
-
-// Rows are kept in lanes, as floats between 2 and infinity: XLA's threads flush smaller ones to zero.
-constexpr uint32_t MARK = 0x40000000;
-
-float marked(int32_t row) {
-  const uint32_t bits = MARK + static_cast<uint32_t>(row);
-  float result;
-  std::memcpy(&result, &bits, sizeof result);
-  return result;
-}
-int32_t row_of(float mark) {
-  uint32_t bits;
-  std::memcpy(&bits, &mark, sizeof bits);
-  return bits < MARK ? -1 : static_cast<int32_t>(bits - MARK);
-}
 
 // State of a tile; see `Selection`. Zero stands for no row.
 template <int K>
@@ -59,6 +45,7 @@ struct TileSelection {
       middle = where(step.drawn & (broadcast(0.5f) < T) & (step.after <= broadcast(0.5f)), row, middle);
       if (count > 0) insert(step.weight, row, b, count);
       T = step.after, alive = step.alive;
+      if (count == 0) alive = alive & (broadcast(0.5f) < T);  // the median is found, and nothing else is asked for
       if (!any(alive)) break;
     }
     store(median[b], middle);

@@ -6,7 +6,7 @@
 namespace splatax {
 
 constexpr int MOST_SELECTED = 64;
-constexpr int MOST_SELECTABLE = 1 << 29;  // rows; see `marked` in select.cc
+constexpr int MOST_SELECTABLE = 1 << 29;  // rows; see `marked`
 
 struct Selection {
   int32_t* rows;     // [height width count]: largest weight first, equal weights nearest first; -1 for none

@@ -4,7 +4,7 @@ The functions here are the door of the engine. They check shapes and dtypes and 
 that kernels get nothing that is malformed.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -47,6 +47,7 @@ WHITE = np.ones(3, np.float32)
 BLENDED = tuple(OUTPUTS[name] for name in ("rgb", "alpha", "depth"))  # outputs that `draw` suffices for
 
 Source = tuple[Drawable, Camera] | None  # None where splats are drawn by themselves
+Named = dict[tuple[str, str], Array]  # by kind ("image" or "feature") and name
 Features = Mapping[str, Float[Array, "n _"]]
 BackgroundLike = (
     tuple[float, float, float] | BackgroundArray | Float[np.ndarray, "3"] | Float[np.ndarray, "h w 3"]
@@ -224,17 +225,9 @@ def _finish(
         features = jax.tree.map(lambda rows: jnp.concatenate([rows, rows]), features)
     channels = {("image", name): output.channels(painted) for name, output in requested if output.channels}
     channels |= {("feature", name): values for name, values in features.items()}
-    sums: dict[tuple[str, str], Array] = {}
-    alpha = selection = None
-    if channels:
-        widths = np.cumsum([values.shape[1] for values in channels.values()])
-        blended, alpha = composite(
-            painted.splats, jnp.concatenate(list(channels.values()), axis=1), backend=kernels
-        )
-        sums = dict(zip(channels, jnp.split(blended, widths[:-1], axis=2), strict=True))
     counts = [output.selected for _, output in requested if output.selected is not None]
-    if counts:
-        selection = select(splats, max(counts), backend=kernels)
+    parts = next((("image", name) for name, output in requested if output == OUTPUTS["parts"]), None)
+    sums, alpha, selection = _blended(painted, view, channels, parts, counts, kernels)
 
     def drawn(name: str, output: Output) -> Drawn:
         count = output.selected
@@ -247,3 +240,47 @@ def _finish(
         images={name: output.finish(drawn(name, output)) for name, output in requested},
         features={name: sums["feature", name] for name in features},
     )
+
+
+def _blended(
+    painted: Seen,
+    view: Seen,
+    channels: Named,
+    parts: tuple[str, str] | None,
+    counts: Sequence[int],
+    kernels: Kernels,
+) -> tuple[Named, Array | None, Selection | None]:
+    """Blends channels and selects splats, in one walk where the backend has a kernel for it.
+
+    Args:
+        painted: the view with copies of the splats beside its seam.
+        view: the view.
+        channels: what to blend, by name.
+        parts: the name of the channels of the scene's parts; None if they are not among the channels.
+        counts: for each output that needs them, how many splats to select; 0 for the median alone.
+        kernels: the backend.
+
+    Returns:
+        The sums by name, and alpha; the selected splats. They are None if nothing asks for them.
+    """
+    if parts is not None:
+        channels = {name: rows for name, rows in channels.items() if name != parts} | {parts: channels[parts]}
+    widths = np.cumsum([values.shape[1] for values in channels.values()])
+    stacked = jnp.concatenate(list(channels.values()), axis=1) if channels else None
+    sizes = painted.sizes if parts is not None and painted.sizes is not None else ()
+    together = painted is view and (sizes or counts) and max(counts, default=0) == 0
+    if stacked is not None and together and len(view.splats.depths):
+        survey = kernels.in_one_walk(view.splats, stacked.shape[1] - len(sizes), len(sizes))
+        if survey is not None:
+            blended, alpha, median = survey(view.splats, stacked, sizes)
+            none = jnp.zeros((*median.shape, 0))
+            found = Selection(none.astype(jnp.int32), none.astype(blended.dtype), median)
+            return dict(zip(channels, jnp.split(blended, widths[:-1], axis=2), strict=True)), alpha, found
+    sums: Named = {}
+    alpha = selection = None
+    if stacked is not None:
+        blended, alpha = composite(painted.splats, stacked, backend=kernels)
+        sums = dict(zip(channels, jnp.split(blended, widths[:-1], axis=2), strict=True))
+    if counts:
+        selection = select(view.splats, max(counts), backend=kernels)
+    return sums, alpha, selection

@@ -99,6 +99,18 @@ def test_a_glb_file_keeps_the_parts_of_the_first_options(car, tmp_path, capsys):
     assert_allclose(sx.render(back, camera).rgb, sx.render(found, camera).rgb, atol=1e-3)
 
 
+def test_a_page_of_a_glb_file_offers_the_variants_in_it(car, tmp_path):
+    cli.main(["compose", str(car), "--out", str(tmp_path / "car.glb")])
+    cli.main(["compose", str(tmp_path / "car.glb"), "--out", str(tmp_path / "again.html")])
+    text = (tmp_path / "again.html").read_text()
+    told = json.loads(re.search(r'id="page">(.*?)</script>', text)[1])
+    assert [[option["name"] for option in variant["options"]] for variant in told["variants"]] == [
+        ["plain", "red"],
+        ["front", "all"],
+    ]
+    assert told["variants"][1]["options"][1]["shows"] == [1, 2]
+
+
 def test_a_page_is_told_everything(car, tmp_path):
     cli.main(["compose", str(car), "--out", str(tmp_path / "new" / "car.html")])
     text = (tmp_path / "new" / "car.html").read_text()

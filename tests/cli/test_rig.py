@@ -10,10 +10,12 @@ from test_refusals import refused
 
 import splatax as sx
 from splatax import cli
+from splatax.cli import rig
 from splatax.demo.posed_capture import write_arm_capture
 from splatax.io.formats.marks import metres_mark
 from splatax.io.rigs import load_rigged
 from splatax.sensors.metres import metres_of
+from splatax.training.rigged import optimize_rig
 
 
 @pytest.fixture(scope="module")
@@ -45,6 +47,67 @@ def test_a_run_holds_the_scene_its_poses_and_its_scores(run, arm):
     assert report.count('alt="render"') == 2
     given, kept = (json.loads((folder / "poses.json").read_text()) for folder in (arm, run))
     assert kept["photos"] == given["photos"]
+
+
+class PowerCut(Exception):
+    """Ends a run where it is."""
+
+
+def stopping_at(step):
+    """Trains a rig until the power fails after a step."""
+
+    def optimize(*arguments):
+        for progress in optimize_rig(*arguments):
+            if progress.step == step:
+                raise PowerCut
+            yield progress
+
+    return optimize
+
+
+def test_a_run_that_was_stopped_again_and_again_ends_with_the_same_bytes(capsys, arm, tmp_path, monkeypatch):
+    def start(out):
+        files = ["--skeleton", f"{arm}/body.glb", "--poses", f"{arm}/poses.json", "--out", str(out)]
+        learned = ["--refine", "poses+weights", "--checkpoint-steps", "4"]
+        cli.main(["rig", str(arm), *files, *learned, "--steps", "20", "--max-gaussians", "200"])
+
+    start(tmp_path / "whole")
+    run = tmp_path / "run"
+    monkeypatch.setattr(rig, "optimize_rig", stopping_at(7))
+    with pytest.raises(PowerCut):
+        start(run)
+    monkeypatch.setattr(rig, "optimize_rig", stopping_at(18))
+    with pytest.raises(PowerCut):
+        cli.main(["rig", "--resume", str(run)])
+    assert sorted(path.name for path in (run / "checkpoints").iterdir()) == ["00000012.npz", "00000016.npz"]
+    monkeypatch.setattr(rig, "optimize_rig", optimize_rig)
+    assert "run of splatax rig, not of splatax train" in refused(capsys, "train", "--resume", str(run))
+    assert "--seed 3: the run was started with 0" in refused(
+        capsys, "rig", "--resume", str(run), "--seed", "3"
+    )
+    cli.main(["rig", "--resume", str(run)])
+    assert "resuming after step 16 of 20" in capsys.readouterr().out
+    for name in ("rigged.glb", "scene.ply", "poses.json", "metrics.json"):
+        assert (run / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
+    assert json.loads((run / "metrics.json").read_text())["gaussians"] > 100  # it has grown on the way
+    assert not (run / "checkpoints").exists()
+    assert "already finished" in refused(capsys, "rig", "--resume", str(run))
+
+
+def test_a_run_goes_on_only_with_the_body_and_the_poses_that_it_had(capsys, arm, tmp_path, monkeypatch):
+    capture, run = shutil.copytree(arm, tmp_path / "arm"), tmp_path / "run"
+    files = ["--skeleton", f"{capture}/body.glb", "--poses", f"{capture}/poses.json", "--out", str(run)]
+    monkeypatch.setattr(rig, "optimize_rig", stopping_at(2))
+    with pytest.raises(PowerCut):
+        cli.main(["rig", str(capture), *files, "--steps", "3", "--checkpoint-steps", "1"])
+    poses = json.loads((capture / "poses.json").read_text())
+    (capture / "poses.json").write_text(json.dumps(poses, indent=3))
+    assert "the capture of the run changed: poses was" in refused(capsys, "rig", "--resume", str(run))
+
+
+def test_a_new_run_needs_a_capture_a_body_poses_and_a_folder(capsys):
+    said = refused(capsys, "rig")
+    assert "Missing: the folder of a capture, --skeleton, --poses, --out." in said
 
 
 def test_a_film_shows_the_poses_of_the_clip(run, tmp_path):

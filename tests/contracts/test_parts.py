@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import splatax as sx
 from scenes import camera_at, random_gaussians
+from splatax import backends
 from splatax.cameras.lenses import Equirectangular
 from splatax.cameras.motion import RollingShutter
 from splatax.scene import ColorMap
@@ -183,3 +184,56 @@ def test_the_parts_of_a_pixel_add_up_to_its_alpha_and_contributors_name_part_and
         assert row[part == i].max() < len(own)
     nothing = drawn.contributors.indices < 0
     assert_array_equal(part[nothing], -1)
+
+
+ASKED = ("rgb", "alpha", "parts", "median_depth", "median_surface_depth")
+
+
+def apart(backend):
+    """The same kernels without the one that blends and selects at once."""
+    kernels = backends.resolve(backend)
+    return replace(kernels, name=f"{kernels.name}, apart", survey=None)
+
+
+def test_colour_parts_and_median_of_one_walk_are_those_of_two(backend):
+    parts = scene(color=MAP)
+    for outputs in (ASKED, ("rgb", "depth", "parts"), ("parts",), ("alpha", "median_depth")):
+        once = sx.render(parts, CAMERA, outputs=outputs, backend=backend)
+        twice = sx.render(parts, CAMERA, outputs=outputs, backend=apart(backend))
+        for name in outputs:
+            assert_array_equal(once.images[name], twice.images[name], err_msg=name)
+
+
+def test_a_batch_of_scenes_is_surveyed_as_each_by_itself(backend):
+    moves = jnp.array([[0.5, -0.3, 0.4], [-0.4, 0.2, 0.0], [0.0, 0.3, -0.5]])
+
+    def seen(move):
+        moved = scene(pose=replace(AWAY, translation=move))
+        return sx.render(moved, CAMERA, outputs=ASKED, backend=backend).images
+
+    together = jax.vmap(seen)(moves)
+    for i, move in enumerate(moves):
+        for name, image in seen(move).items():
+            assert_allclose(together[name][i], image, atol=1e-5, err_msg=name)
+
+
+def test_the_survey_has_the_derivatives_of_the_rasterizer(backend):
+    def total(move, kernels):
+        moved = scene(pose=replace(AWAY, translation=move))
+        drawn = sx.render(moved, CAMERA, outputs=ASKED, backend=kernels)
+        weighted = drawn.parts * jnp.array([1.0, -2.0])[None, None]
+        return jnp.sum(drawn.rgb**2) + jnp.sum(weighted) + jnp.sum(drawn.median_surface_depth)
+
+    move = jnp.asarray(AWAY.translation, jnp.float32)
+    once, twice = (jax.grad(total)(move, kernels) for kernels in (backends.resolve(backend), apart(backend)))
+    assert np.abs(twice).min() > 0.1
+    assert_allclose(once, twice, rtol=1e-5)
+
+
+def test_the_native_backend_asks_its_survey_only_for_what_it_stands_for():
+    kernels = backends.resolve("cpu")
+    splats = sx.rendering.project(scene(), CAMERA)
+    assert kernels.in_one_walk(splats, 3, 2) is kernels.survey
+    assert kernels.in_one_walk(splats, 5, 2) is None
+    mine = replace(kernels, select=lambda splats, count: kernels.select(splats, count))
+    assert mine.in_one_walk(splats, 3, 2) is None

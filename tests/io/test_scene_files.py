@@ -11,7 +11,8 @@ from numpy.testing import assert_allclose
 
 import splatax as sx
 from scenes import camera_at, random_gaussians
-from splatax.scene import ColorMap
+from splatax.io.scenes import load_variants
+from splatax.scene import ColorMap, Option, chosen
 from splatax.transforms import Similarity
 
 BODY, WHEEL = random_gaussians(0, n=50, degree=2), random_gaussians(1, n=30, degree=1)
@@ -31,6 +32,17 @@ CAMERA = camera_at((0.4, -0.5, -4.0))
 def gltf_of(path) -> dict:
     contents = path.read_bytes()
     return json.loads(contents[20 : 20 + struct.unpack_from("<I", contents, 12)[0]])
+
+
+def changed(path, change, to=None) -> None:
+    """Rewrites the JSON of a .glb file."""
+    contents, gltf = path.read_bytes(), gltf_of(path)
+    rest = contents[20 + struct.unpack_from("<I", contents, 12)[0] :]
+    change(gltf)
+    text = json.dumps(gltf).encode()
+    text += b" " * (-len(text) % 4)
+    head = struct.pack("<4sII", b"glTF", 2, 20 + len(text) + len(rest))
+    (to or path).write_bytes(head + struct.pack("<I4s", len(text), b"JSON") + text + rest)
 
 
 @pytest.fixture
@@ -67,26 +79,14 @@ def test_parts_that_share_gaussians_share_them_in_the_file_too(file):
 
 
 def test_a_child_is_placed_and_hidden_by_its_parents(file, tmp_path):
-    contents = file.read_bytes()
-    size = struct.unpack_from("<I", contents, 12)[0]
-    gltf = json.loads(contents[20 : 20 + size])
-    gltf["nodes"].append(
-        {
-            "children": [1, 2],
-            "translation": [1, 2, 3],
-            "extensions": {"KHR_node_visibility": {"visible": False}},
-        }
-    )
-    gltf["nodes"][2]["name"] = gltf["nodes"][1]["name"]
-    gltf["scenes"][0]["nodes"] = [0, 4, 3]
-    text = json.dumps(gltf).encode()
-    text += b" " * (-len(text) % 4)
-    rest = contents[20 + size :]
+    def nested(gltf):
+        above = {"children": [1, 2], "translation": [1, 2, 3]}
+        gltf["nodes"].append(above | {"extensions": {"KHR_node_visibility": {"visible": False}}})
+        gltf["nodes"][2]["name"] = gltf["nodes"][1]["name"]
+        gltf["scenes"][0]["nodes"] = [0, 4, 3]
+
     path = tmp_path / "tree.glb"
-    head = struct.pack("<4sII", b"glTF", 2, 20 + len(text) + len(rest)) + struct.pack(
-        "<I4s", len(text), b"JSON"
-    )
-    path.write_bytes(head + text + rest)
+    changed(file, nested, to=path)
     back = sx.load_scene(path)
     assert back.names == ("body", "front wheel", "front wheel 2", "roof")
     assert [part.visible for part in back.parts.values()] == [1, 0, 0, 0]
@@ -94,12 +94,71 @@ def test_a_child_is_placed_and_hidden_by_its_parents(file, tmp_path):
     assert_allclose(back["front wheel"].pose.translation, moved, atol=1e-12)
 
 
-def test_maps_of_colour_are_applied_in_the_file(tmp_path):
-    colored = SCENE.colored({"body": ColorMap.dye((0.9, 0.2, 0.1))})
+RED = ColorMap.dye((0.9, 0.2, 0.1))
+VARIANTS = {
+    "paint": {"red": Option(colors={"body": RED}), "plain": Option()},
+    "wheels": {"rear": Option(("rear wheel",)), "all": Option(("rear wheel", "front wheel"))},
+}
+
+
+def test_maps_of_colour_are_applied_in_the_file_and_come_back(tmp_path):
+    colored = SCENE.colored({"body": RED})
     sx.save_scene(tmp_path / "red.glb", colored)
     back = sx.load_scene(tmp_path / "red.glb")
+    assert_allclose(back["body"].color.matrix, RED.matrix, atol=1e-7)
+    assert_allclose(back["body"].gaussians.sh, BODY.sh, atol=1e-6)
+    for scene in (back, sx.load(tmp_path / "red.glb")):
+        assert_allclose(sx.render(scene, CAMERA).rgb, sx.render(colored, CAMERA).rgb, atol=2e-3)
+
+
+def test_variants_come_back_and_the_file_shows_the_first_options(tmp_path):
+    path = tmp_path / "car.glb"
+    sx.save_scene(path, SCENE, variants=VARIANTS)
+    shown = sx.load_scene(path)
+    assert [part.visible for part in shown.parts.values()] == [1, 0, 1, 0]
+    back, variants = load_variants(path)
+    assert back.names == SCENE.names
+    assert [part.visible for part in back.parts.values()] == [1, 1, 1, 0]
+    assert {name: list(options) for name, options in variants.items()} == {
+        name: list(options) for name, options in VARIANTS.items()
+    }
+    assert variants["wheels"] == VARIANTS["wheels"]
+    assert_allclose(variants["paint"]["red"].colors["body"].matrix, RED.matrix, atol=1e-7)
+    for choice in ({}, {"paint": "plain"}, {"wheels": "all"}, {"paint": "plain", "wheels": "all"}):
+        expected = sx.render(chosen(SCENE, VARIANTS, choice), CAMERA).rgb
+        assert_allclose(sx.render(chosen(back, variants, choice), CAMERA).rgb, expected, atol=2e-3)
+    for scene in (shown, sx.load(path)):
+        assert_allclose(
+            sx.render(scene, CAMERA).rgb, sx.render(chosen(SCENE, VARIANTS), CAMERA).rgb, atol=2e-3
+        )
+
+
+def test_a_file_whose_extras_another_program_has_dropped_keeps_the_colours_that_it_shows(tmp_path):
+    sx.save_scene(tmp_path / "red.glb", SCENE.colored({"body": RED}))
+    changed(tmp_path / "red.glb", lambda gltf: [node.pop("extras", None) for node in gltf["nodes"]])
+    back, variants = load_variants(tmp_path / "red.glb")
+    assert not variants
     assert back["body"].color is None
-    assert_allclose(sx.render(back, CAMERA).rgb, sx.render(colored, CAMERA).rgb, atol=1e-3)
+    assert_allclose(
+        sx.render(back, CAMERA).rgb, sx.render(SCENE.colored({"body": RED}), CAMERA).rgb, atol=2e-3
+    )
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda gltf: gltf["nodes"][0]["extras"]["splatax"].update(color=[1, 2]),
+        lambda gltf: gltf["scenes"][0]["extras"]["splatax"]["variants"][1]["options"][0].update(
+            shows=["door"]
+        ),
+        lambda gltf: gltf["scenes"][0]["extras"]["splatax"].update(variants=[{"name": "paint"}]),
+    ],
+)
+def test_variants_that_cannot_be_are_refused_with_the_file(tmp_path, change):
+    sx.save_scene(tmp_path / "car.glb", SCENE, variants=VARIANTS)
+    changed(tmp_path / "car.glb", change)
+    with pytest.raises(sx.FormatError, match=r"car\.glb"):
+        load_variants(tmp_path / "car.glb")
 
 
 def test_the_filter_comes_back_and_two_filters_are_refused(tmp_path):

@@ -18,7 +18,7 @@ from splatax.io.rigs import load_rigged, read_body, save_rigged
 from splatax.io.rigs.following import check_following
 from splatax.io.rigs.nodes import _moving_nodes
 from splatax.io.rigs.poses import Posing, read_poses, write_poses
-from splatax.io.rigs.writing import save_body
+from splatax.io.rigs.writing import joints_attributes, save_body
 from splatax.scene.binding import bind, covering
 from splatax.scene.clips import Channel, Clip
 from splatax.scene.rigged import RiggedScene
@@ -241,6 +241,14 @@ def test_joints_and_weights_that_cannot_be_are_refused(tmp_path):
     weights = np.where(np.arange(len(surface.weights))[:, None] == 3, [1.5, -0.5], surface.weights)
     with pytest.raises(sx.FormatError, match="weights are negative or not finite"):
         check_following(path, surface.indices.astype(float), weights, 3)
+
+
+def test_a_joint_that_occurs_twice_is_stored_once_with_the_sum_of_its_weights():
+    indices = np.array([[2, 1, 2, 0], [1, 1, 1, 1]])
+    weights = np.array([[0.2, 0.3, 0.5, 0.0], [0.25, 0.25, 0.25, 0.25]])
+    stored = joints_attributes(indices, weights, 3)
+    np.testing.assert_array_equal(stored["JOINTS_0"], [[2, 1, 0, 0], [1, 0, 0, 0]])
+    np.testing.assert_allclose(stored["WEIGHTS_0"], [[0.7, 0.3, 0, 0], [1, 0, 0, 0]], atol=1e-7)
 
 
 def test_splats_that_follow_negative_joints_are_refused(tmp_path):

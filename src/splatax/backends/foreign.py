@@ -17,7 +17,7 @@ def call(
     target: str,
     shapes: Sequence[Shape],
     arrays: Sequence[Array],
-    options: Mapping[str, np.int64 | np.float32],
+    options: Mapping[str, np.int64 | np.float32 | np.ndarray],
     vmap_method: str = "sequential",
     aliases: Mapping[int, int] | None = None,
 ) -> Sequence[Array]:

@@ -97,6 +97,41 @@ class Select(Protocol):
 
 
 @runtime_checkable
+class Survey(Protocol):
+    """`Composite` and `Select` at once, for a few channels and the parts of a scene: faster than both.
+
+    It stands for a rasterizer and a selection, and returns what they return.
+    """
+
+    @property
+    def composite(self) -> Composite:
+        """The rasterizer that it stands for."""
+        ...
+
+    @property
+    def select(self) -> Select:
+        """The selection that it stands for."""
+        ...
+
+    def fits(self, splats: Splats, channels: int, parts: int) -> bool:
+        """Returns whether it draws so many channels and parts of such splats."""
+        ...
+
+    def __call__(
+        self, splats: Splats, channels: Float[Array, "n c"], sizes: tuple[int, ...]
+    ) -> tuple[Float[Array, "h w c"], Float[Array, "h w"], Int[Array, "h w"]]:
+        """Returns the sums of channels, alpha, and the median of `Selection`.
+
+        Args:
+            splats: at least one.
+            channels: as for `Composite`. The last ones, as many as there are sizes, are 1 for the splats of
+                one part each, and 0 for the others.
+            sizes: the number of splats in each part, in order; none if the parts are not asked for.
+        """
+        ...
+
+
+@runtime_checkable
 class Photometric(Protocol):
     """The loss between an image and a photo."""
 
@@ -142,6 +177,8 @@ class Kernels:
         dtypes: the names of the dtypes that all of the kernels compute in.
         draw: both halves at once; None if the backend has only the two. It is used while it stands for
             `project` and `composite`, so that kernels of your own in their place are not passed over.
+        survey: `composite` and `select` at once; None if the backend has only the two. It is used while it
+            stands for them.
     """
 
     name: str
@@ -153,6 +190,7 @@ class Kernels:
     why_unavailable: Callable[[], str | None] = runs_everywhere
     dtypes: tuple[str, ...] = ("float32", "float64")
     draw: Draw | None = None
+    survey: Survey | None = None
 
     def at_once(self, camera: Camera, method: Method) -> Draw | None:
         """Returns the kernel that draws what a camera sees at once; None if two kernels must do it."""
@@ -160,3 +198,16 @@ class Kernels:
         if draw is None or (draw.project, draw.composite) != (self.project, self.composite):
             return None
         return draw if draw.fits(camera, method) else None
+
+    def in_one_walk(self, splats: Splats, channels: int, parts: int) -> Survey | None:
+        """Returns the kernel that blends and selects at once; None if two kernels must do it.
+
+        Args:
+            splats: of the view.
+            channels: number of channels beside those of the parts.
+            parts: number of parts whose sums are asked for.
+        """
+        survey = self.survey
+        if survey is None or (survey.composite, survey.select) != (self.composite, self.select):
+            return None
+        return survey if survey.fits(splats, channels, parts) else None

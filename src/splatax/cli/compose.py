@@ -20,11 +20,12 @@ class Compose:
 
     A .toml file gives the splat file and the pose of each part, the variants, notes, the first view and a
     camera path; docs/configurator.md lists its keys. A page has a button for each option of a variant. A .glb
-    file has a node for each part, with the first option of each variant.
+    file has a node for each part, and shows the first option of each variant; splatax reads the others from
+    it too.
     """
 
-    composition: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE.toml")]
-    """The file that describes the scene."""
+    composition: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE.{toml,glb}")]
+    """The file that describes the scene, or a .glb file of parts and variants that this command wrote."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
     """The file to write, .html or .glb."""
     overwrite: OverwriteFlag = False
@@ -48,7 +49,8 @@ class Compose:
                 presentation=found.presentation,
             )
         else:
-            save_scene(self.out, found.at_first, comments=(found.title,))
+            variants = found.presentation.variants
+            save_scene(self.out, found.scene, variants=variants, comments=(found.title,))
         options = sum(map(len, found.presentation.variants.values()))
         say(
             f"{self.out}: {len(found.scene.parts)} parts, {len(found.scene):,} Gaussians, "

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Set
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import splatax as sx
 from splatax.cli.options import (
@@ -35,6 +35,7 @@ from splatax.training.protocols import Initialization
 from splatax.training.recipes import PRESETS, Drawing
 
 FEWEST_TO_WEIGH = 10  # training photos: of fewer, each shows something that no other does
+Kind = TypeVar("Kind")
 LOWEST = {
     "steps": 1,
     "views": 1,
@@ -173,10 +174,11 @@ class Settings:
 NAMES = {field.name for field in fields(Settings)}
 
 
-def as_started(stored: Mapping[str, Any], given: Mapping[str, Any], free: Set[str]) -> Settings:
+def as_started(kind: type[Kind], stored: Mapping[str, Any], given: Mapping[str, Any], free: Set[str]) -> Kind:
     """Returns the settings of an earlier run, with those given now that may change.
 
     Args:
+        kind: the dataclass of the settings.
         stored: settings of the run, as JSON values.
         given: on the command line.
         free: names of settings that may change.
@@ -184,7 +186,7 @@ def as_started(stored: Mapping[str, Any], given: Mapping[str, Any], free: Set[st
     Raises:
         InputError: if others are given with other values.
     """
-    settings = Settings(**typed_fields(Settings, stored))
+    settings = kind(**typed_fields(kind, stored))
     for name, value in given.items():
         if name not in free and value != getattr(settings, name):
             raise InputError(

@@ -88,13 +88,13 @@ class Train:
         if self.rerun.resume is not None:
             earlier = find(self.rerun.resume)
             with understood(earlier.path, OTHER):
-                settings = as_started(earlier.options, chosen, MAY_CHANGE)
+                settings = as_started(Settings, earlier.options, chosen, MAY_CHANGE)
             self.train(settings, earlier.history, earlier=earlier)
         elif self.rerun.repeat is not None:
             stored, made = finished(self.rerun.repeat, NAMES)
             with understood(self.rerun.repeat, "Repeat another run."):
                 free = MAY_CHANGE | {"out", "overwrite"}
-                settings = as_started(stored | NOT_REPEATED, chosen, free)
+                settings = as_started(Settings, stored | NOT_REPEATED, chosen, free)
             self.train(settings, History(changes=made))
         else:
             settings, deadline = self.limited(Settings(**chosen), began)

@@ -1,9 +1,14 @@
 """Scenes of parts as .glb files, whose nodes keep names, places and visibility.
 
-`splatax.load` reads such a file as one set of Gaussians, and `load_scene` as parts.
+`splatax.load` reads such a file as one set of Gaussians, `load_scene` as parts, and `load_variants` with its
+variants.
 """
 
+from collections.abc import Container, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import jax
@@ -12,17 +17,21 @@ import numpy as np
 from splatax.errors import FormatError
 from splatax.gaussians import Gaussians, broken
 from splatax.io.formats import glb
-from splatax.io.formats.glb_scene import VISIBILITY
+from splatax.io.formats.glb_scene import ORIGINAL, VISIBILITY
 from splatax.io.formats.marks import mark, marked
 from splatax.io.formats.untrusted import structured
-from splatax.scene import Part, Scene
+from splatax.scene import ColorMap, Option, Part, Scene, Variants, chosen
+from splatax.scene.variants import check_variants
 from splatax.transforms import Similarity, half_turn
 
+NO_VARIANTS: Variants = MappingProxyType({})
 SIGNS = np.array([-1.0, -1.0, 1.0])  # half a turn about z, between our axes and glTF's
 
 
 def load_scene(path: str | Path) -> Scene:
     """Reads a .glb file with the splats of each of its nodes as a part.
+
+    A file with variants is read with the first option of each; `load_variants` reads all of them.
 
     Poses are relative to the scene, so the tree of nodes becomes a list. A node without a name is called
     "part", and names that occur twice get a number. A part is hidden if its node, or one above it, has
@@ -32,31 +41,100 @@ def load_scene(path: str | Path) -> Scene:
         FormatError: if the file is missing or damaged, is no .glb file, or has no splats.
     """
     path = Path(path)
+    with _opened(path):
+        return Scene({name: part for name, (part, _) in _parts(path).items()})
+
+
+def load_variants(path: str | Path) -> tuple[Scene, Variants]:
+    """Reads a .glb file with its variants, as `save_scene` wrote them.
+
+    Returns:
+        The scene in which all parts are as without variants, for `splatax.scene.chosen`, and the variants;
+        there are none in a file that other programs wrote.
+
+    Raises:
+        FormatError: see `load_scene`; or if the variants do not fit the parts.
+    """
+    path = Path(path)
+    with _opened(path):
+        scene = Scene({name: _alone(part, extras) for name, (part, extras) in _parts(path).items()})
+        variants = {
+            str(variant["name"]): {
+                str(option["name"]): Option(
+                    tuple(map(str, option["shows"])),
+                    {str(part): _map(rows) for part, rows in option["colors"].items()},
+                )
+                for option in variant["options"]
+            }
+            for variant in glb.extras(path).get("variants", ())
+        }
+        check_variants(scene, variants)
+    return scene, variants
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[None]:
+    """Turns what is wrong with a file that is read inside into a `FormatError`."""
     _check_suffix(path)
     if not path.is_file():
         raise FormatError(f"{path}: no such file. Give a .glb file with splats.")
     with structured(path, path.suffix):
-        found = glb.placed(path)
-        comments = glb.comments(path)
+        yield
+
+
+def _parts(path: Path) -> dict[str, tuple[Part, dict[str, Any]]]:
+    """Returns the parts of a file as its nodes show them, each with what was noted at its node."""
+    comments = glb.comments(path)
     turned: dict[int, Gaussians] = {}
-    parts: dict[str, Part] = {}
-    for at, gaussians in found:
+    parts: dict[str, tuple[Part, dict[str, Any]]] = {}
+    for at, gaussians in glb.placed(path, ORIGINAL):
         if id(gaussians) not in turned:
             turned[id(gaussians)] = marked(half_turn(gaussians, axis=2), comments)
         name = _unused(at.name or "part", parts)
-        parts[name] = Part(turned[id(gaussians)], _half_turned(at.place), at.visible)
-    return Scene(parts)
+        # Other programs may have dropped the original harmonics: the map is then part of the colours.
+        original = any(attribute.startswith(ORIGINAL) for attribute in at.primitive["attributes"])
+        color = _map(at.extras["color"]) if original and "color" in at.extras else None
+        parts[name] = Part(turned[id(gaussians)], _half_turned(at.place), at.visible, color), at.extras
+    return parts
 
 
-def save_scene(path: str | Path, scene: Scene, *, comments: tuple[str, ...] = ()) -> int:
+def _alone(part: Part, extras: Mapping[str, Any]) -> Part:
+    """Returns a part as it is without variants."""
+    if (alone := extras.get("alone")) is None:
+        return part
+    color = None if alone["color"] is None else _map(alone["color"])
+    return replace(part, visible=bool(alone["visible"]), color=color)
+
+
+def _map(rows: Any) -> ColorMap:
+    """Returns a map of colours from the rows of its matrix, each with its offset at the end."""
+    numbers = np.array(rows, np.float32).reshape(3, 4)
+    if not np.isfinite(numbers).all():
+        raise ValueError("a map of colours is not finite")
+    return ColorMap(numbers[:, :3], numbers[:, 3])
+
+
+def _rows(color: ColorMap | None) -> list[list[float]] | None:
+    if color is None:
+        return None
+    return np.column_stack([np.asarray(color.matrix), np.asarray(color.offset)]).tolist()
+
+
+def save_scene(
+    path: str | Path, scene: Scene, *, variants: Variants = NO_VARIANTS, comments: tuple[str, ...] = ()
+) -> int:
     """Writes a .glb file with a node for each part, hidden ones too.
 
-    Parts that share their Gaussians share a mesh in the file. Maps of colours are applied to the splats,
-    since glTF has none. Empty slots and broken Gaussians are left out.
+    Parts that share their Gaussians and colours share a mesh in the file. glTF has neither maps of colours
+    nor variants of splats. The file therefore shows the first option of each variant, with maps of colours
+    applied to the harmonics. The original harmonics, the maps and the variants are kept beside them, where
+    `load_scene` and `load_variants` find them and other programs ignore them. Empty slots and broken
+    Gaussians are left out.
 
     Args:
         path: path of the file, which ends in .glb.
-        scene: the scene.
+        scene: the scene; with variants, all parts are as without them.
+        variants: what can be chosen.
         comments: lines to keep with the scene, beside the one that names its filter.
 
     Returns:
@@ -65,6 +143,7 @@ def save_scene(path: str | Path, scene: Scene, *, comments: tuple[str, ...] = ()
     Raises:
         FormatError: if the file is no .glb file or cannot hold the scene: its parts were trained with
             different low-pass filters, or have SH above degree 3.
+        ValueError: if the variants do not fit the scene.
     """
     path = Path(path)
     _check_suffix(path)
@@ -75,9 +154,9 @@ def save_scene(path: str | Path, scene: Scene, *, comments: tuple[str, ...] = ()
             "Train them alike."
         )
     meshes: dict[tuple[int, int], int] = {}
-    written: list[Gaussians] = []
+    written: list[glb.Mesh] = []
     nodes: list[dict[str, Any]] = []
-    for name, part in scene.parts.items():
+    for name, part in chosen(scene, variants).parts.items():
         if part.gaussians.sh_degree > glb.MAX_SH_DEGREE:
             raise FormatError(
                 f"{path}: .glb holds SH up to degree {glb.MAX_SH_DEGREE}, and part {name!r} has degree "
@@ -86,12 +165,35 @@ def save_scene(path: str | Path, scene: Scene, *, comments: tuple[str, ...] = ()
         shared = (id(part.gaussians), id(part.color))
         if shared not in meshes:
             meshes[shared] = len(written)
-            colored = part.gaussians if part.color is None else part.color.transform(part.gaussians)
-            written.append(_sound(colored))
+            written.append(_mesh(part))
         nodes.append(_node(name, part, meshes[shared]))
+        if part is not scene[name]:
+            own = scene[name]
+            nodes[-1].setdefault("extras", {"splatax": {}})["splatax"]["alone"] = {
+                "visible": bool(own.visible > 0),
+                "color": _rows(own.color),
+            }
     lines = (mark(filters.pop()), *comments)
-    glb.write(path, written, nodes, lines)
-    return sum(map(len, written))
+    glb.write(path, written, nodes, lines, {"variants": _written(variants)} if variants else {})
+    return sum(len(mesh.gaussians) for mesh in written)
+
+
+def _written(variants: Variants) -> list[dict[str, Any]]:
+    """Returns variants as JSON values."""
+    return [
+        {
+            "name": variant,
+            "options": [
+                {
+                    "name": name,
+                    "shows": list(option.shows),
+                    "colors": {part: _rows(color) for part, color in option.colors.items()},
+                }
+                for name, option in options.items()
+            ],
+        }
+        for variant, options in variants.items()
+    ]
 
 
 def _node(name: str, part: Part, mesh: int) -> dict[str, Any]:
@@ -107,6 +209,8 @@ def _node(name: str, part: Part, mesh: int) -> dict[str, Any]:
     }
     if part.visible <= 0:
         node["extensions"] = {VISIBILITY: {"visible": False}}
+    if part.color is not None:
+        node["extras"] = {"splatax": {"color": _rows(part.color)}}
     return node
 
 
@@ -116,12 +220,15 @@ def _half_turned(pose: Similarity) -> Similarity:
     return Similarity(SIGNS[:, None] * rotation * SIGNS[None], SIGNS * translation, float(pose.scale))
 
 
-def _sound(gaussians: Gaussians) -> Gaussians:
-    keep = ~broken(gaussians) & ~np.isneginf(np.asarray(gaussians.opacity_logits))
-    return gaussians if keep.all() else jax.tree.map(lambda leaf: leaf[keep], gaussians)
+def _mesh(part: Part) -> glb.Mesh:
+    """Returns the sound Gaussians of a part, with and without its map of colours."""
+    whole = part.gaussians
+    keep = ~broken(whole) & ~np.isneginf(np.asarray(whole.opacity_logits))
+    sound = whole if keep.all() else jax.tree.map(lambda leaf: leaf[keep], whole)
+    return glb.Mesh(sound) if part.color is None else glb.Mesh(part.color.transform(sound), sound)
 
 
-def _unused(name: str, taken: dict[str, Part]) -> str:
+def _unused(name: str, taken: Container[str]) -> str:
     number, found = 2, name
     while found in taken:
         found, number = f"{name} {number}", number + 1

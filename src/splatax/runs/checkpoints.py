@@ -11,8 +11,7 @@ from splatax.errors import InputError
 from splatax.io.files import disk_of, replacing
 from splatax.runs.history import History, packed
 from splatax.training import checkpoint
-from splatax.training.checkpoint import Checkpoint
-from splatax.training.loop import RunState
+from splatax.training.checkpoint import Checkpoint, Stoppable
 
 FOLDER = "checkpoints"  # in that of the run
 
@@ -73,7 +72,7 @@ class Checkpoints:
         waited = self.seconds and not writing and time.monotonic() - self._saved >= self.seconds
         return bool(waited or (self.steps and step % self.steps == 0))
 
-    def save(self, state: RunState, history: History) -> None:
+    def save(self, state: Stoppable, history: History) -> None:
         """Copies the run and starts to write it, once the checkpoint before is written.
 
         Raises:

@@ -1,10 +1,10 @@
 """Resuming a run: its newest checkpoint, and whether everything is as it was."""
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from splatax.dataset import Dataset
 from splatax.errors import FormatError, InputError
@@ -17,9 +17,11 @@ from splatax.training.checkpoint import Checkpoint
 from splatax.training.loop import RunState
 from splatax.training.recipes import Recipe
 
+Run = TypeVar("Run")
 DECISIVE = ("splatax", "jax", "jaxlib", "numpy", "optax")  # packages whose version decides what a step does
 
 FACTS = {"options": dict, "recipe": dict, "capture": dict, "versions": dict, "device": str}
+TRAIN = "train"  # the command of runs that do not name theirs among their options
 OTHER = "Resume from another one in its folder, or start the run again."
 
 
@@ -57,7 +59,18 @@ class Earlier:
         Raises:
             InputError: if recipe or capture are not those of the run.
         """
-        now = facts({}, recipe, dataset)
+        return self.restored(facts({}, recipe, dataset), lambda: checkpoint.restore(self.checkpoint, recipe))
+
+    def restored(self, now: Mapping[str, Any], restore: Callable[[], Run]) -> Run:
+        """Returns the run on the device. Warns if the rest cannot be the same bit for bit.
+
+        Args:
+            now: facts about the run that would be resumed; see the function `facts`.
+            restore: reads the state in the checkpoint.
+
+        Raises:
+            InputError: if recipe or capture are not those of the run.
+        """
         for subject in ("recipe", "capture"):
             self._require(subject, now[subject])
         if self.facts["device"] != now["device"]:
@@ -68,7 +81,7 @@ class Earlier:
             )
         with understood(self.path, OTHER):
             try:
-                return checkpoint.restore(self.checkpoint, recipe)
+                return restore()
             except FormatError as error:
                 raise FormatError(f"{self.path}: {error}.") from error
 
@@ -92,11 +105,15 @@ def facts(options: Mapping[str, Any], recipe: Recipe, dataset: Dataset) -> dict[
     }
 
 
-def find(path: Path) -> Earlier:
+def find(path: Path, command: str = TRAIN) -> Earlier:
     """Returns the checkpoint at a path, or the newest one of the run in a folder.
 
+    Args:
+        path: of the checkpoint or the folder.
+        command: that makes such runs.
+
     Raises:
-        InputError: if there is none, or it is damaged.
+        InputError: if there is none, it is damaged, or another command made it.
     """
     if path.is_dir():
         run, chosen = path, newest(path)
@@ -110,6 +127,12 @@ def find(path: Path) -> Earlier:
         saved = checkpoint.read(chosen)
         with understood(chosen, ""):
             known = {name: kind(saved.header["run"][name]) for name, kind in FACTS.items()}
+            own = str(known["options"].pop("command", TRAIN))
+            if own != command:
+                raise InputError(
+                    f"{chosen}: a run of splatax {own}, not of splatax {command}. Resume it with that "
+                    "command."
+                )
             return Earlier(chosen, run, saved, unpacked(dict(saved.header), dict(saved.arrays)), known)
     except FormatError as error:
         older = [file for file in files(run) if file.name < chosen.name]

@@ -59,7 +59,16 @@ class Body:
 def strongest(
     indices: Int[np.ndarray, "v m"], weights: Float[np.ndarray, "v m"], most: int = JOINTS
 ) -> tuple[Int[np.ndarray, "v k"], Float[np.ndarray, "v k"]]:
-    """Returns the joints with the largest weights, and the weights divided by their sum."""
+    """Returns the joints with the largest weights, and the weights divided by their sum.
+
+    A joint that occurs several times in a row counts once, with the sum of its weights.
+    """
+    weights = weights.copy()
+    for first in range(weights.shape[1]):
+        for later in range(first + 1, weights.shape[1]):
+            again = np.where(indices[:, first] == indices[:, later], weights[:, later], 0)
+            weights[:, first] += again
+            weights[:, later] -= again
     order = np.argsort(-weights, axis=1, kind="stable")[:, :most]
     indices, weights = (np.take_along_axis(rows, order, axis=1) for rows in (indices, weights))
     sums = weights.sum(axis=1, keepdims=True)

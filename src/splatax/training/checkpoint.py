@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Protocol, TypeVar, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -33,6 +33,7 @@ PER_PHOTO = (  # arrays with a row per photo
     "cameras/0/values",
     "weights/ratios",
 )
+State = TypeVar("State")
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,22 @@ class Checkpoint:
         return int(self.header["step"])
 
 
-def take(state: RunState, header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Checkpoint:
+@runtime_checkable
+class Stoppable(Protocol):
+    """A run between two steps, such as `RunState`."""
+
+    @property
+    def train(self) -> Any:
+        """The pytree that the steps change, with the number of steps as `step`."""
+        ...
+
+    @property
+    def count(self) -> int:
+        """The number of living Gaussians."""
+        ...
+
+
+def take(state: Stoppable, header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Checkpoint:
     """Copies a run to the host, so that training can continue while it is written.
 
     Args:
@@ -74,17 +90,42 @@ def restore(checkpoint: Checkpoint, recipe: Recipe) -> RunState:
     Raises:
         FormatError: if the checkpoint does not hold the state of a run of this recipe.
     """
-    stored = {name: array for name, array in checkpoint.arrays.items() if name.startswith(STATE)}
-    expected, tree = jax.tree_util.tree_flatten_with_path(_shapes(stored, recipe))
+    stored = stored_in(checkpoint)
+    state, count = restored(checkpoint, _shapes(stored, recipe))
+    return RunState(state, count)
+
+
+def stored_in(checkpoint: Checkpoint) -> dict[str, np.ndarray]:
+    """Returns the arrays of the state in a checkpoint, by name."""
+    return {name: array for name, array in checkpoint.arrays.items() if name.startswith(STATE)}
+
+
+def restored(checkpoint: Checkpoint, shapes: State) -> tuple[State, int]:
+    """Returns the state in a checkpoint, on the device, and its number of living Gaussians.
+
+    Args:
+        checkpoint: of the run.
+        shapes: the state with the shape and dtype of each array in its place.
+
+    Raises:
+        FormatError: if the checkpoint holds another kind of state.
+    """
+    stored = stored_in(checkpoint)
+    expected, tree = jax.tree_util.tree_flatten_with_path(shapes)
     names = [name_of(path) for path, _ in expected]
     if set(names) != set(stored):
         strange = ", ".join(sorted(set(names) ^ set(stored)))
         raise FormatError(f"the state of another kind of run: {strange}")
     leaves = [_as(stored[name], leaf, name) for name, (_, leaf) in zip(names, expected, strict=True)]
-    count, room = int(checkpoint.header["count"]), _rows(stored, "gaussians/means")
+    count, room = int(checkpoint.header["count"]), rows_of(stored)
     if not 0 <= count <= room:
         raise FormatError(f"{count} Gaussians in arrays of {room}")
-    return RunState(jax.tree.unflatten(tree, leaves), count)
+    return jax.tree.unflatten(tree, leaves), count
+
+
+def rows_of(stored: Mapping[str, np.ndarray], name: str = "gaussians/means") -> int:
+    """Returns the number of rows of an array of the state; 0 if there is none."""
+    return next((len(array) for path, array in stored.items() if path == STATE + name and array.ndim), 0)
 
 
 def write(file: BinaryIO, checkpoint: Checkpoint) -> None:
@@ -154,18 +195,14 @@ def name_of(path: tuple[Any, ...]) -> str:
 
 def _shapes(stored: Mapping[str, np.ndarray], recipe: Recipe) -> TrainState:
     """Returns the shapes of the state of a run of this recipe with as many Gaussians as are stored."""
-    rows = _rows(stored, "gaussians/means")
-    photos = max(_rows(stored, name) for name in PER_PHOTO)
+    rows = rows_of(stored)
+    photos = max(rows_of(stored, name) for name in PER_PHOTO)
 
     def empty(*shape: int):
         return jax.ShapeDtypeStruct((rows, *shape), jnp.float32)
 
     gaussians = Gaussians(empty(3), empty(4), empty(3), empty(), empty(harmonics.count(recipe.sh.degree), 3))
     return jax.eval_shape(partial(first_state, recipe=recipe, extent=1.0, photos=photos), gaussians)
-
-
-def _rows(stored: Mapping[str, np.ndarray], name: str) -> int:
-    return next((len(array) for path, array in stored.items() if path == STATE + name and array.ndim), 0)
 
 
 def _plain(leaf: Any) -> Any:

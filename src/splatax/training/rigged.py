@@ -19,6 +19,7 @@ from splatax.dataset import Dataset
 from splatax.errors import DatasetError
 from splatax.gaussians import Gaussians
 from splatax.low_pass import LowPass
+from splatax.math import harmonics
 from splatax.outputs import over
 from splatax.scene.skeleton import Pose, spun
 from splatax.scene.skin import Rig, skin
@@ -79,40 +80,59 @@ class RigState:
 
 
 @dataclass(frozen=True)
+class RigRun:
+    """A run between two steps, from which `optimize_rig` can continue it.
+
+    Attributes:
+        train: what the steps change. The next step donates it: it cannot be used afterwards.
+        count: number of Gaussians.
+        rig: the rig that the run was started with, for its skeleton.
+    """
+
+    train: RigState
+    count: int
+    rig: Rig
+
+
+@dataclass(frozen=True)
 class RigProgress:
     """The result of one step, as `optimize_rig` yields it.
 
     Attributes:
         step: number of steps made, from 1.
         loss: of the step's photo; reading it waits for the step to end.
-        count: number of Gaussians.
+        run: the run after the step, valid until the next step.
     """
 
     step: int
     loss: Float[Array, ""]
-    count: int
-    _state: RigState
-    _rig: Rig
+    run: RigRun
     _poses: Pose
     _names: tuple[str, ...]
     _low_pass: LowPass
 
     @property
+    def count(self) -> int:
+        """The number of Gaussians."""
+        return self.run.count
+
+    @property
     def gaussians(self) -> Gaussians:
         """A copy of the Gaussians in the bound pose."""
-        gaussians = jax.tree.map(lambda leaf: jnp.array(leaf[: self.count]), self._state.gaussians)
+        gaussians = jax.tree.map(lambda leaf: jnp.array(leaf[: self.count]), self.run.train.gaussians)
         return replace(gaussians, low_pass=self._low_pass)
 
     @property
     def rig(self) -> Rig:
         """The skeleton, and a copy of the weights."""
-        weights = jax.nn.softmax(self._state.logits[: self.count], axis=1)
-        return replace(self._rig, indices=jnp.array(self._state.indices[: self.count]), weights=weights)
+        state = self.run.train
+        weights = jax.nn.softmax(state.logits[: self.count], axis=1)
+        return replace(self.run.rig, indices=jnp.array(state.indices[: self.count]), weights=weights)
 
     @property
     def poses(self) -> dict[str, Pose]:
         """The poses as they are learned now, by name."""
-        turns = self._state.turns.values.reshape(len(self._names), -1, 3)
+        turns = self.run.train.turns.values.reshape(len(self._names), -1, 3)
         moved = jax.vmap(spun)(self._poses, turns)
         return {name: _row(moved, i) for i, name in enumerate(self._names)}
 
@@ -124,7 +144,7 @@ def _row(pose: Pose, index: int) -> Pose:
 def optimize_rig(
     dataset: Dataset,
     recipe: Recipe,
-    start: tuple[Gaussians, Rig],
+    start: tuple[Gaussians, Rig] | RigRun,
     poses: Mapping[str, Pose],
     pose_of: Mapping[str, str],
     learned: Learned = Learned(),
@@ -137,14 +157,17 @@ def optimize_rig(
     Args:
         dataset: the photos.
         recipe: the settings.
-        start: Gaussians in the bound pose and their rig, such as `scene.binding.covering(body, 6000)`.
+        start: Gaussians in the bound pose and their rig, such as `scene.binding.covering(body, 6000)`; or a
+            run with the same arguments that was stopped, which continues as if it never had been. It is
+            donated: it cannot be used afterwards.
         poses: poses of the skeleton by name.
         pose_of: name of the pose in each training photo, by the photo's name.
         learned: what is learned beside the Gaussians.
 
     Raises:
         DatasetError: if there are no training photos, or one has no pose.
-        ValueError: if the recipe has several views a step, which this trainer does not make, or no steps.
+        ValueError: if the recipe has several views a step, which this trainer does not make, or no steps are
+            left.
     """
     if recipe.views != 1 or recipe.steps < 1:
         raise ValueError(
@@ -156,22 +179,52 @@ def optimize_rig(
         if pose_of.get(view.name) not in poses:
             raise DatasetError(f"{view.name}: no pose is given for this photo. Add it to the poses.")
     recipe = recipe.on(backends.resolve(recipe.drawing.backend))
-    names = tuple(poses)
-    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *poses.values())
+    names, stacked = tuple(poses), _stacked(poses)
     of_photos = {view.photo: names.index(pose_of[view.name]) for view in dataset.train}
     which = jnp.asarray(list(of_photos.values()), jnp.int32)
-    gaussians, rig = start
-    state, count = _first(gaussians, rig, recipe, len(names)), len(gaussians)
+    run = start if isinstance(start, RigRun) else _first_run(*start, recipe, len(names))
+    state, count, done = run.train, run.count, int(run.train.step)
+    if done >= recipe.steps:
+        raise ValueError(f"nothing left to do: {done} of {recipe.steps} steps are made")
     refine_key, step_key = jax.random.split(jax.random.key(recipe.seed))
     schedule = Schedule(recipe.steps, recipe.steps, recipe.resolution)
-    settings = _Settings(rig, stacked, which, jnp.float32(dataset.extent), step_key)
-    for step, batch in enumerate(batches(dataset.train, recipe.seed, 0, schedule), 1):
+    settings = _Settings(run.rig, stacked, which, jnp.float32(dataset.extent), step_key)
+    for step, batch in enumerate(batches(dataset.train, recipe.seed, done, schedule), done + 1):
         state, loss = _step(state, batch, settings, recipe, learned)
         if refinement := schedule.refinement(step, recipe.density):
             state, count = _refined(state, count, refinement, dataset.extent, recipe, refine_key)
-        yield RigProgress(step, loss, count, state, rig, stacked, names, recipe.drawing.low_pass)
+        now = RigRun(state, count, run.rig)
+        yield RigProgress(step, loss, now, stacked, names, recipe.drawing.low_pass)
         if step >= recipe.steps:
             return
+
+
+def result_of(run: RigRun, recipe: Recipe, poses: Mapping[str, Pose], loss: float) -> RigProgress:
+    """Returns the result of a run that was saved after its last step, whose loss is given."""
+    last = jnp.float32(loss)
+    return RigProgress(int(run.train.step), last, run, _stacked(poses), tuple(poses), recipe.drawing.low_pass)
+
+
+def state_shapes(rows: int, rig: Rig, recipe: Recipe, poses: int) -> RigState:
+    """Returns the shapes and dtypes of the state of a run with this many rows, with empty ones."""
+    count = harmonics.count(recipe.sh.degree)
+    widths = {"means": (3,), "quats": (4,), "log_scales": (3,), "opacity_logits": (), "sh": (count, 3)}
+    shapes = {name: jax.ShapeDtypeStruct((rows, *own), jnp.float32) for name, own in widths.items()}
+    following = rig.indices.shape[1]
+
+    def first(gaussians, indices, weights):
+        return _first(gaussians, replace(rig, indices=indices, weights=weights), recipe, poses)
+
+    return jax.eval_shape(
+        first,
+        Gaussians(**shapes),
+        jax.ShapeDtypeStruct((rows, following), jnp.int32),
+        jax.ShapeDtypeStruct((rows, following), jnp.float32),
+    )
+
+
+def _stacked(poses: Mapping[str, Pose]) -> Pose:
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *poses.values())
 
 
 @jax.tree_util.register_dataclass
@@ -186,16 +239,22 @@ class _Settings:
     key: Any
 
 
-def _first(gaussians: Gaussians, rig: Rig, recipe: Recipe, poses: int) -> RigState:
+def _first_run(gaussians: Gaussians, rig: Rig, recipe: Recipe, poses: int) -> RigRun:
     rows = bucket_for(len(gaussians))
-    padded, spare = pad(gaussians, rows), [(0, rows - len(gaussians)), (0, 0)]
-    logits = jnp.log(jnp.clip(jnp.pad(rig.weights, spare), 1e-4, 1))
+    spare = [(0, rows - len(gaussians)), (0, 0)]
+    padded = replace(rig, indices=jnp.pad(rig.indices, spare), weights=jnp.pad(rig.weights, spare))
+    return RigRun(_first(pad(gaussians, rows), padded, recipe, poses), len(gaussians), rig)
+
+
+def _first(gaussians: Gaussians, rig: Rig, recipe: Recipe, poses: int) -> RigState:
+    """Returns the state before the first step, of Gaussians and weights with empty slots."""
+    logits = jnp.log(jnp.clip(rig.weights, 1e-4, 1))
     return RigState(
         jnp.int32(0),
-        padded,
-        recipe.optimizer.rule().init(padded),
-        recipe.density.init(rows),
-        jnp.pad(rig.indices, spare),
+        gaussians,
+        recipe.optimizer.rule().init(gaussians),
+        recipe.density.init(len(gaussians)),
+        rig.indices,
         logits,
         ADAM.init(logits),
         per_photo.zeros(poses, 3 * len(rig.skeleton)),

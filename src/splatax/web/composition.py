@@ -27,7 +27,7 @@ from splatax.cameras import Camera, look_at
 from splatax.errors import FormatError
 from splatax.gaussians import Gaussians
 from splatax.io import formats
-from splatax.io.scenes import load_scene
+from splatax.io.scenes import load_scene, load_variants
 from splatax.scene import ColorMap, Option, Part, Scene, Variants, chosen
 from splatax.trajectories import keyframes
 from splatax.transforms import Similarity
@@ -63,15 +63,19 @@ class Composition:
 
 
 def compose(path: str | Path) -> Composition:
-    """Reads a .toml file of parts and variants, and the splat files that it names.
+    """Reads a .toml file of parts and variants, and the splat files that it names; or a .glb file of them.
 
-    docs/configurator.md lists the keys. Files are looked for beside the .toml file, and read once each.
+    docs/configurator.md lists the keys. Files are looked for beside the .toml file, and read once each. A
+    .glb file has parts and variants alone: its page has no notes, and the name of the file for a title.
 
     Raises:
         FormatError: if a file is missing or damaged, a key is unknown or has no valid value, or a variant or
             a note names a part that there is not.
     """
     path = Path(path)
+    if path.suffix.lower() == ".glb":
+        scene, variants = load_variants(path)
+        return Composition(scene, Presentation(variants), path.stem, COLORS["black"])
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:

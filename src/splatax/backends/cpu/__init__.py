@@ -12,6 +12,7 @@ from splatax.backends.cpu.library import ALL_THREADS, Build
 from splatax.backends.cpu.moving import move
 from splatax.backends.cpu.photometric import with_gradient
 from splatax.backends.cpu.projection import projections
+from splatax.backends.cpu.survey import NativeSurvey
 from splatax.backends.cpu.views import NativeDrawing
 from splatax.backends.protocol import Kernels
 
@@ -29,16 +30,18 @@ def kernels(
     build = Build(instructions, threads)
     projection = partial(projection_kernels.project, kernels=projections(build))
     rasterizer = partial(composite, build=build, max_pairs=max_pairs)
+    selection = partial(select, build=build, max_pairs=max_pairs)
     return Kernels(
         name="cpu" if instructions is None else f"cpu-{instructions}",
         project=projection,
         composite=rasterizer,
-        select=partial(select, build=build, max_pairs=max_pairs),
+        select=selection,
         photometric=partial(fused_loss.photometric, kernel=partial(with_gradient, build=build)),
         move=partial(move, build=build),
         why_unavailable=partial(library.why_unavailable, instructions),
         dtypes=("float32",),
         draw=NativeDrawing(build, max_pairs, projection, rasterizer),
+        survey=NativeSurvey(build, max_pairs, rasterizer, selection),
     )
 
 

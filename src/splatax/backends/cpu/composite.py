@@ -52,24 +52,25 @@ def _composite(splats: Splats, channels: Float[Array, "n c"], build: Build, max_
 
 @_composite.defjvp
 def _(build: Build, max_pairs: int, primals, tangents):
-    *image, ticket = _drawn(*primals, build, max_pairs)
-    return tuple(image), _derivative(build, max_pairs, primals, (*image, ticket), tangents)
+    *image, ticket = drawn_image(*primals, build, max_pairs)
+    return tuple(image), derivative_of_image(build, max_pairs, primals, (*image, ticket), tangents)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(2, 3))
-def _drawn(splats: Splats, channels: Float[Array, "n c"], build: Build, max_pairs: int):
+def drawn_image(splats: Splats, channels: Float[Array, "n c"], build: Build, max_pairs: int):
     """Returns the image, and the ticket for its derivative. It can be differentiated again."""
     return _draw(splats, channels, build, max_pairs, gradient_follows=True)
 
 
-@_drawn.defjvp
+@drawn_image.defjvp
 def _(build: Build, max_pairs: int, primals, tangents):
-    drawn = _drawn(*primals, build, max_pairs)
+    drawn = drawn_image(*primals, build, max_pairs)
     no_tangent = np.zeros(drawn[2].shape, jax.dtypes.float0)
-    return drawn, (*_derivative(build, max_pairs, primals, drawn, tangents), no_tangent)
+    return drawn, (*derivative_of_image(build, max_pairs, primals, drawn, tangents), no_tangent)
 
 
-def _derivative(build: Build, max_pairs: int, primals, drawn: tuple[Array, ...], tangents):
+def derivative_of_image(build: Build, max_pairs: int, primals, drawn: tuple[Array, ...], tangents):
+    """Returns the tangents of the image that `drawn_image` returned for splats and channels."""
     return linear_call(Derivative(build, max_pairs), (*primals, *drawn), directions(*tangents), drawn[:2])
 
 

@@ -44,7 +44,7 @@ class Build:
         *,
         batches: bool = False,
         aliases: Mapping[int, int] | None = None,
-        **options: np.int64 | np.float32,
+        **options: np.int64 | np.float32 | np.ndarray,
     ) -> Sequence[Array]:
         """Calls a function of the library.
 

@@ -9,9 +9,10 @@ COLOR_0 is for viewers that can only draw points.
 
 import json
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -20,7 +21,7 @@ from splatax.errors import FormatError
 from splatax.gaussians import Gaussians, checked, joined
 from splatax.io.files import write_whole
 from splatax.io.formats import glb_scene, packing
-from splatax.io.formats.glb_scene import EXTENSION, Placed
+from splatax.io.formats.glb_scene import EXTENSION, ORIGINAL, Placed
 from splatax.io.formats.marks import MARKS
 from splatax.io.formats.tolerance import Tolerance
 from splatax.math import harmonics
@@ -28,6 +29,7 @@ from splatax.transforms import half_turn
 
 FLOAT, UNSIGNED_BYTE = 5126, 5121  # glTF's component types
 VERTICES = 34962  # glTF's buffer target for vertex attributes
+EMPTY: Mapping[str, Any] = MappingProxyType({})
 KINDS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 PROPERTIES = {  # of the extension, as this engine draws splats
     "kernel": "ellipse",
@@ -36,10 +38,24 @@ PROPERTIES = {  # of the extension, as this engine draws splats
     "projection": "perspective",
 }
 
+HARMONICS = f"{EXTENSION}:"  # before the names of harmonics as every reader draws them
+
 MAX_SH_DEGREE = 3
 LOSES = "Only rounding: opacities and scales are stored as such, not as logits and logarithms."
 KEPT_MARKS = MARKS
 TOLERANCE = Tolerance(degrees=1e-3, log_scales=1e-5, opacities=1e-6)
+
+
+class Mesh(NamedTuple):
+    """Gaussians to write, in our axes.
+
+    Attributes:
+        gaussians: as every reader draws them.
+        original: the same Gaussians before their colours were mapped; None if they are as they were.
+    """
+
+    gaussians: Gaussians
+    original: Gaussians | None = None
 
 
 def load(path: Path) -> Gaussians:
@@ -54,10 +70,15 @@ def load(path: Path) -> Gaussians:
     return half_turn(joined([at.place.transform(gaussians) for at, gaussians in shown]), axis=2)
 
 
-def placed(path: Path) -> list[tuple[Placed, Gaussians]]:
+def placed(path: Path, harmonics: str = HARMONICS) -> list[tuple[Placed, Gaussians]]:
     """Returns the splats of each primitive in its own frame, and their nodes, in the axes of glTF.
 
     Nodes that share a primitive share the Gaussians.
+
+    Args:
+        path: the file.
+        harmonics: what the names of the harmonics to read begin with: `HARMONICS`, or `ORIGINAL` for those
+            before the map of colours that is noted at a node, where there is one.
 
     Raises:
         FormatError: if the file is damaged, or has no splats.
@@ -65,11 +86,15 @@ def placed(path: Path) -> list[tuple[Placed, Gaussians]]:
     gltf, buffer = glb_scene.chunks(path)
     found = glb_scene.splats(path, gltf)
     glb_scene.check_repetition(path, gltf, buffer, [at.primitive for at in found])
-    read: dict[int, Gaussians] = {}
+    read: dict[tuple[int, str], Gaussians] = {}
+    result = []
     for at in found:
-        if id(at.primitive) not in read:
-            read[id(at.primitive)] = gaussians_of(glb_scene.accessors(path, gltf, buffer, at.primitive))
-    return [(at, read[id(at.primitive)]) for at in found]
+        # Other programs may have dropped the map: the harmonics with the map applied are then the colours.
+        key = id(at.primitive), harmonics if "color" in at.extras else HARMONICS
+        if key not in read:
+            read[key] = gaussians_of(glb_scene.accessors(path, gltf, buffer, at.primitive), key[1])
+        result.append((at, read[key]))
+    return result
 
 
 def comments(path: Path) -> tuple[str, ...]:
@@ -80,31 +105,46 @@ def comments(path: Path) -> tuple[str, ...]:
 
 def save(path: Path, gaussians: Gaussians, *, comments: tuple[str, ...] = ()) -> None:
     """Writes float32 attributes of one mesh."""
-    write(path, [gaussians], [{"mesh": 0}], comments)
+    write(path, [Mesh(gaussians)], [{"mesh": 0}], comments)
+
+
+def extras(path: Path) -> dict[str, Any]:
+    """Returns what `write` kept with the scene, by name."""
+    gltf, _ = glb_scene.chunks(path)
+    scene = (gltf.get("scenes") or [{}])[gltf.get("scene", 0)]
+    return dict(scene.get("extras", {}).get("splatax", {}))
 
 
 def write(
-    path: Path, meshes: Sequence[Gaussians], nodes: Sequence[dict[str, Any]], comments: tuple[str, ...]
+    path: Path,
+    meshes: Sequence[Mesh],
+    nodes: Sequence[dict[str, Any]],
+    comments: tuple[str, ...],
+    kept: Mapping[str, Any] = EMPTY,
 ) -> None:
     """Writes a file with meshes of splats, and nodes that place them.
 
     Args:
         path: the file.
-        meshes: Gaussians in our axes; each becomes a mesh with one primitive.
+        meshes: each becomes a mesh with one primitive.
         nodes: glTF's objects, in glTF's axes; all are roots of the scene.
         comments: lines for the file's extras.
+        kept: JSON values to keep with the scene, which other readers ignore.
     """
     accessors: list[dict[str, Any]] = []
     views: list[dict[str, Any]] = []
     chunks: list[bytes] = []
-    primitives = [_primitive(half_turn(mesh, axis=2), accessors, views, chunks) for mesh in meshes]
+    primitives = [_primitive(mesh, accessors, views, chunks) for mesh in meshes]
     offset = sum(map(len, chunks))
     used = {EXTENSION, *(name for node in nodes for name in node.get("extensions", ()))}
+    scene: dict[str, Any] = {"nodes": list(range(len(nodes)))}
+    if kept:
+        scene["extras"] = {"splatax": dict(kept)}
     gltf = {
         "asset": {"version": "2.0", "generator": "splatax", "extras": {"comments": list(comments)}},
         "extensionsUsed": sorted(used),
         "scene": 0,
-        "scenes": [{"nodes": list(range(len(nodes)))}],
+        "scenes": [scene],
         "nodes": list(nodes),
         "meshes": [{"primitives": [primitive]} for primitive in primitives],
         "accessors": accessors,
@@ -119,12 +159,15 @@ def write(
 
 
 def _primitive(
-    gaussians: Gaussians, accessors: list[dict[str, Any]], views: list[dict[str, Any]], chunks: list[bytes]
+    mesh: Mesh, accessors: list[dict[str, Any]], views: list[dict[str, Any]], chunks: list[bytes]
 ) -> dict[str, Any]:
-    """Appends the attributes of Gaussians in glTF's axes to the file's lists, and returns their primitive."""
+    """Appends the attributes of Gaussians to the file's lists, and returns their primitive."""
+    arrays = attributes_of(half_turn(mesh.gaussians, axis=2))
+    if mesh.original is not None:
+        arrays |= harmonics_of(half_turn(mesh.original, axis=2), ORIGINAL)
     attributes = {}
     offset = sum(map(len, chunks))
-    for name, values in attributes_of(gaussians).items():
+    for name, values in arrays.items():
         attributes[name] = len(accessors)
         accessor: dict[str, Any] = {
             "bufferView": len(views),
@@ -155,20 +198,34 @@ def attributes_of(gaussians: Gaussians) -> dict[str, np.ndarray]:
         f"{EXTENSION}:SCALE": np.asarray(gaussians.scales),
         f"{EXTENSION}:OPACITY": opacities,
     }
-    for band in range(gaussians.sh_degree + 1):
-        for i in range(2 * band + 1):
-            attributes[f"{EXTENSION}:SH_DEGREE_{band}_COEF_{i}"] = sh[:, band**2 + i]
-    return {
+    attributes = {
         name: values if values.dtype == np.uint8 else np.ascontiguousarray(values, "<f4")
         for name, values in attributes.items()
     }
+    return attributes | harmonics_of(gaussians, HARMONICS)
 
 
-def gaussians_of(attributes: dict[str, np.ndarray]) -> Gaussians:
-    """Returns the scene that attributes of a mesh of splats describe, in the frame of the attributes."""
+def harmonics_of(gaussians: Gaussians, prefix: str) -> dict[str, np.ndarray]:
+    """Returns the attributes of spherical harmonics by name, one for each coefficient."""
+    sh = np.asarray(gaussians.sh)
+    return {
+        f"{prefix}SH_DEGREE_{band}_COEF_{i}": np.ascontiguousarray(sh[:, band**2 + i], "<f4")
+        for band in range(gaussians.sh_degree + 1)
+        for i in range(2 * band + 1)
+    }
+
+
+def gaussians_of(attributes: dict[str, np.ndarray], prefix: str = HARMONICS) -> Gaussians:
+    """Returns the scene that attributes of a mesh of splats describe, in the frame of the attributes.
+
+    Args:
+        attributes: by name.
+        prefix: see `placed`.
+    """
+    found = prefix if f"{prefix}SH_DEGREE_0_COEF_0" in attributes else HARMONICS
     coefficients = []
     for band in range(MAX_SH_DEGREE + 1):
-        names = [f"{EXTENSION}:SH_DEGREE_{band}_COEF_{i}" for i in range(2 * band + 1)]
+        names = [f"{found}SH_DEGREE_{band}_COEF_{i}" for i in range(2 * band + 1)]
         if names[0] in attributes:
             coefficients += [attributes[name] for name in names]
     with np.errstate(divide="ignore"):

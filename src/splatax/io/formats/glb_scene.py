@@ -13,7 +13,8 @@ from splatax.transforms import Similarity
 
 EXTENSION = "KHR_gaussian_splatting"
 VISIBILITY = "KHR_node_visibility"
-PREFIXES = ("POSITION", f"{EXTENSION}:")
+ORIGINAL = "_SPLATAX_"  # before the names of harmonics without the map of colours that a part has in the file
+PREFIXES = ("POSITION", f"{EXTENSION}:", ORIGINAL)
 TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 MAX_NODES = 10_000  # nodes that are visited; valid nodes form no cycle, but those of a damaged file may
@@ -29,12 +30,14 @@ class Placed(NamedTuple):
         place: transform from the primitive to the scene.
         name: name of the node; empty if it has none.
         visible: False if the node or one above it is hidden.
+        extras: what `splatax.io.scenes` has noted at the node.
     """
 
     primitive: dict[str, Any]
     place: Similarity
     name: str
     visible: bool
+    extras: dict[str, Any]
 
 
 def chunks(path: Path) -> tuple[dict[str, Any], bytes]:
@@ -77,7 +80,8 @@ def splats(path: Path, gltf: dict[str, Any]) -> list[Placed]:
                 raise FormatError(
                     f"{path}: its splats are compressed ({names}), which splatax does not read."
                 )
-            found.append(Placed(primitive, place, str(node.get("name", "")), visible))
+            extras = node.get("extras", {}).get("splatax", {})
+            found.append(Placed(primitive, place, str(node.get("name", "")), visible, extras))
     if not found:
         raise FormatError(f"{path}: no splats: none of its meshes has the extension {EXTENSION}.")
     return found

@@ -8,11 +8,13 @@ from PIL import Image
 from scipy import ndimage
 
 import splatax as sx
+from scenes import camera_at
 from splatax.inspection import decisions
 from splatax.inspection.decisions import Sight, look_first
 from splatax.inspection.looks import Look
 
 PHOTOS = 18
+CAMERA, BLACK = camera_at((0.0, 0.0, -4.0)), np.zeros((4, 4, 3), np.uint8)
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +87,7 @@ def test_a_face_without_detail_does_not_make_a_panorama_blurred():
     rng = np.random.default_rng(0)
 
     def sight(photo, face, sharpness):
-        view = sx.View(f"{photo}-{face}", None, None, face_of=photo)
+        view = sx.View(f"{photo}-{face}", CAMERA, lambda: BLACK, face_of=photo)
         return Sight(view, Look(sharpness=sharpness), np.zeros((24, 32)), np.zeros(0))
 
     sharp = [
@@ -102,7 +104,12 @@ def test_a_face_without_detail_does_not_make_a_panorama_blurred():
 
 def test_a_panorama_repeats_another_only_if_all_of_its_faces_do():
     sights = [
-        Sight(sx.View(f"{photo}-{face}", None, None, face_of=photo), Look(), np.zeros((24, 32)), np.zeros(0))
+        Sight(
+            sx.View(f"{photo}-{face}", CAMERA, lambda: BLACK, face_of=photo),
+            Look(),
+            np.zeros((24, 32)),
+            np.zeros(0),
+        )
         for photo in ("a", "b", "c")
         for face in ("front", "back")
     ]

@@ -10,6 +10,7 @@ from scipy import ndimage
 
 import corner
 import splatax as sx
+from scenes import camera_at
 from splatax.cameras.lenses import Equirectangular, Pinhole
 from splatax.dataset import View, photos_in, without
 from splatax.errors import DatasetError, InputError
@@ -31,6 +32,7 @@ from splatax.splits import Every, Listed, Nothing
 from splatax.training.feed import rows_for, sources
 
 SIZE, COUNT = (512, 256), 6
+CAMERA = camera_at((0.0, 0.0, -4.0))
 HALF = np.array([3.0, 1.5, 2.5])  # of a papered room
 GPANO = (
     '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
@@ -191,7 +193,7 @@ def test_faces_of_a_panorama_share_what_is_learned_of_a_photo(in_faces):
 
 
 def test_the_score_of_a_panorama_is_that_of_all_of_its_pixels():
-    views = [View(f"a-{i}", None, None, face_of="a" if i < 2 else None) for i in range(3)]
+    views = [View(f"a-{i}", CAMERA, lambda: None, face_of="a" if i < 2 else None) for i in range(3)]
     scores = [
         ViewScore("a-0", 20.0, 0.5, 30.0),
         ViewScore("a-1", 30.0, 0.7, 30.0),

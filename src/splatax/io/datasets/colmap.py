@@ -144,7 +144,7 @@ def faces_of(model: "pycolmap.Reconstruction", registered: "dict[str, pycolmap.I
     }
     moments: dict[int, list[str]] = {}
     for name, image in registered.items():
-        if image.frame.rig_id in turning:
+        if image.frame and image.frame.rig_id in turning:
             moments.setdefault(image.frame_id, []).append(name)
     found: dict[str, str] = {}
     for faces in moments.values():

@@ -72,7 +72,7 @@ class Step(NamedTuple):
     )
     free: Bool[Array, " k"]  # which spherical harmonics are learned already
     good: Bool[Array, ""]  # false if gradients count as zero and nothing may move
-    count: Int[Array, ""]  # number of steps, with this one
+    steps: Int[Array, ""]  # number of steps made, with this one
     living: Int[Array, ""]  # number of Gaussians that are no empty slots
     extent: Float[Array, ""]  # of the scene, world units
     keys: UInt32[Array, "b 2"]  # of the noise: threefry keys of blocks of rows
@@ -154,7 +154,7 @@ def move(
 
 def corrections(step: Step, rule: Rule) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Returns 1 / (1 - b1^t) and 1 / (1 - b2^t), which undo that the moments start at zero."""
-    count = step.count.astype(step.extent.dtype)
+    count = step.steps.astype(step.extent.dtype)
     return 1 / (1 - rule.b1**count), 1 / (1 - rule.b2**count)
 
 

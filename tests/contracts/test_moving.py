@@ -70,7 +70,7 @@ def step(gaussians, *, count=3, good=True, keys=KEY[None], each=True):
         rates=LearningRates().at(progress, reach, k),
         free=free_coefficients(progress, jnp.array([0, 0.2, 0.7, 1, 1], jnp.float32), k),
         good=jnp.asarray(good),
-        count=jnp.int32(count),
+        steps=jnp.int32(count),
         living=jnp.int32(min(n, LIVING)),
         extent=jnp.float32(EXTENT),
         keys=jax.random.key_data(keys),
@@ -132,7 +132,7 @@ def test_moves_as_optax_with_the_gradient_of_the_penalty(move):
         prior = jax.grad(Sparsity(rule.opacity, rule.scale))(gaussians, at.extent, at.living)
         whole = jax.tree.map(jnp.add, gradients, prior)
         whole = replace(whole, sh=jnp.where(at.free[None, :, None], whole.sh, 0))
-        state = optax.ScaleByAdamState(at.count - 1, moments.mean, moments.square)
+        state = optax.ScaleByAdamState(at.steps - 1, moments.mean, moments.square)
         updates, state = optax.scale_by_adam(rule.b1, rule.b2, rule.eps).update(whole, state)
     expected = jax.tree.map(lambda x, rate, by: x - rate * by, gaussians, at.rates, updates)
     quats = jax.vmap(quaternions.normalize)(expected.quats)

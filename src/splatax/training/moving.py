@@ -85,7 +85,7 @@ def moved(
 
 def draws_as_kernels(key: PRNGKeyArray) -> bool:
     """Returns whether JAX is set to the random numbers that kernels draw."""
-    return str(jax.random.key_impl(key)) == "threefry2x32" and jax.config.jax_threefry_partitionable
+    return str(jax.random.key_impl(key)) == "threefry2x32" and jax.threefry_partitionable.value
 
 
 def by_kernel(
@@ -106,14 +106,14 @@ def by_kernel(
         rates=pace.rates(rows),
         free=optimizer.free_coefficients(pace.progress, pace.openings, rows.gaussians.sh.shape[1]),
         good=pace.good,
-        count=optax.safe_increment(adam.count),
+        steps=optax.safe_increment(adam.count),
         living=pace.living,
         extent=pace.extent,
         keys=keys,
     )
     move = backends.resolve(recipe.drawing.backend).move
     gaussians, moments = move(rows.gaussians, rows.gradients, Moments(adam.mu, adam.nu), step, rule, block)
-    adam = adam._replace(count=step.count, mu=moments.mean, nu=moments.square)
+    adam = adam._replace(count=step.steps, mu=moments.mean, nu=moments.square)
     return gaussians, (adam, *rest)
 
 

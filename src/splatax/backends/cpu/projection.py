@@ -43,7 +43,8 @@ class NativeProjection:
     def _call(
         self, symbol: str, shapes: Sequence[Shape], arrays: Sequence[Array], options: Options
     ) -> Sequence[Array]:
-        return self.build.call(symbol, shapes, arrays, batches=True, lens=np.int64(self.lens), **options)
+        lens = np.int64(self.lens)
+        return self.build.call(symbol, shapes, arrays, batches=True, aliases=None, lens=lens, **options)
 
 
 def projections(build: Build) -> ProjectionKernels:

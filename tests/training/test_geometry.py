@@ -15,6 +15,7 @@ from splatax.surfaces import positions_of
 from splatax.training.feed import MOST_LANDMARKS, Batch, landmarks_of
 from splatax.training.geometry import FACING, LAYERS, Surfaces, error_at, inconsistency
 from splatax.training.loop import first_state
+from splatax.training.objectives import TrainingView
 from splatax.training.priors import Flatness, Priors, Sparsity
 from splatax.training.recipes import Objective
 from splatax.training.step import compare
@@ -82,7 +83,7 @@ def test_the_penalty_has_the_gradient_of_finite_differences(x64):
     @jax.jit
     def penalty(gaussians):
         drawn = sx.render(gaussians, camera, outputs=SURFACES.outputs, backend="xla")
-        return SURFACES(drawn.images, camera, landmarks, jnp.zeros(()))
+        return SURFACES(drawn.images, TrainingView(camera, landmarks, jnp.zeros(())))
 
     gradient = jax.jit(jax.grad(penalty))(gaussians)
     rng = np.random.default_rng(1)
@@ -106,7 +107,7 @@ def test_a_step_adds_the_penalty_and_its_gradient_to_those_of_the_photo():
 
     def penalty(gaussians):
         drawn = sx.render(gaussians, camera, outputs=SURFACES.outputs, low_pass=recipe.drawing.low_pass)
-        return SURFACES(drawn.images, camera, landmarks, jnp.zeros(()))
+        return SURFACES(drawn.images, TrainingView(camera, landmarks, jnp.zeros(())))
 
     def step(geometry):
         chosen = replace(recipe, objective=replace(recipe.objective, geometry=geometry))

@@ -25,6 +25,7 @@ from splatax.stages import composite
 from splatax.surface_outputs import from_middle, surface_channels, surface_depth
 from splatax.surfaces import normals_of, planes
 from splatax.training import per_photo
+from splatax.training.objectives import TrainingView
 
 LEAST_VARIANCE = 1e-8  # of relative depth, below which float32 cannot tell it from zero
 
@@ -38,13 +39,7 @@ class NoGeometry:
         """No outputs."""
         return {}
 
-    def __call__(
-        self,
-        images: Mapping[str, Any],
-        camera: Camera,
-        landmarks: Float[Array, "k 3"] | None,
-        progress: Float[Array, ""],
-    ) -> Float[Array, ""]:
+    def __call__(self, images: Mapping[str, Any], seen: TrainingView) -> Float[Array, ""]:
         """Returns zero."""
         return jnp.zeros(())
 
@@ -76,21 +71,15 @@ class Surfaces:
             needed["facing"] = FACING
         return needed
 
-    def __call__(
-        self,
-        images: Mapping[str, Any],
-        camera: Camera,
-        landmarks: Float[Array, "k 3"] | None,
-        progress: Float[Array, ""],
-    ) -> Float[Array, ""]:
+    def __call__(self, images: Mapping[str, Any], seen: TrainingView) -> Float[Array, ""]:
         """Returns the sum of the penalties; see `splatax.training.protocols.Geometry`."""
         depth, spread, _ = images["layers"]
         penalty = self.spread * jnp.mean(spread)
         if self.consistency:
-            penalty += self.consistency * inconsistency(images["facing"], depth, camera)
-        if self.points and landmarks is not None:
-            penalty += self.points * error_at(landmarks, depth, camera)
-        return penalty * per_photo.log_linear(1.0, self.final, progress)
+            penalty += self.consistency * inconsistency(images["facing"], depth, seen.camera)
+        if self.points and seen.landmarks is not None:
+            penalty += self.points * error_at(seen.landmarks, depth, seen.camera)
+        return penalty * per_photo.log_linear(1.0, self.final, seen.progress)
 
 
 def inconsistency(
@@ -149,7 +138,9 @@ class Layers(NamedTuple):
     Attributes:
         depth: that of the output "surface_depth"; 0 where nothing is.
         spread: alpha times the standard deviation of the planes' inverse depth, relative to its mean.
-        scatter: the sum over pairs of planes of both weights and the squared difference of inverse depths.
+        scatter: the sum over pairs of planes of both weights and the squared difference of inverse depths,
+            relative to the square of their mean. The mean has no gradient: what is near the camera would
+            otherwise pull everything behind it towards itself.
     """
 
     depth: Float[Array, "h w"]
@@ -175,8 +166,9 @@ def _layers(drawn: Drawn) -> Layers:
     # The standard deviation has an infinite slope at zero.
     ratio = jnp.maximum(second * drawn.alpha / (mean * mean) - 1, 0) + LEAST_VARIANCE
     spread = jnp.where(covered, drawn.alpha * jnp.sqrt(ratio), 0)
-    scatter = jnp.maximum(second * drawn.alpha - first * first, 0)
-    return Layers(jnp.where(covered, drawn.alpha / mean, 0), spread, scatter)
+    depth = jnp.where(covered, drawn.alpha / mean, 0)
+    scatter = jnp.maximum(second * drawn.alpha - first * first, 0) * jnp.square(jax.lax.stop_gradient(depth))
+    return Layers(depth, spread, scatter)
 
 
 def _one_layer(drawn: Drawn) -> Layers:

@@ -4,7 +4,7 @@
 """
 
 from collections.abc import Hashable, Mapping
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from jaxtyping import Array, Bool, Float, Int
 
@@ -55,6 +55,21 @@ class Prior(Hashable, Protocol):
         ...
 
 
+class TrainingView(NamedTuple):
+    """A training view, as regularizers of geometry know it.
+
+    Attributes:
+        camera: of the view, as corrected.
+        landmarks: world points that the photo shows, with rows of NaN that stand for none; None if the
+            capture knows of none.
+        progress: fraction of the run that is done, 0 to 1.
+    """
+
+    camera: Camera
+    landmarks: Float[Array, "k 3"] | None
+    progress: Float[Array, ""]
+
+
 @runtime_checkable
 class PhotoWeights(Hashable, Protocol):
     """Weighs the training photos in the loss."""
@@ -100,20 +115,11 @@ class Geometry(Hashable, Protocol):
         """
         ...
 
-    def __call__(
-        self,
-        images: Mapping[str, Any],
-        camera: Camera,
-        landmarks: Float[Array, "k 3"] | None,
-        progress: Float[Array, ""],
-    ) -> Float[Array, ""]:
+    def __call__(self, images: Mapping[str, Any], seen: TrainingView) -> Float[Array, ""]:
         """Returns the penalty, differentiable in the images. Runs under `jit`, and only if there are some.
 
         Args:
             images: the outputs by name.
-            camera: of the view.
-            landmarks: world points that the photo shows, with rows of NaN that stand for none; None if the
-                capture knows of none.
-            progress: fraction of the run that is done, 0 to 1.
+            seen: the view that they show.
         """
         ...

@@ -23,6 +23,7 @@ from splatax.training.objectives import Geometry as Geometry
 from splatax.training.objectives import Loss as Loss
 from splatax.training.objectives import PhotoWeights as PhotoWeights
 from splatax.training.objectives import Prior as Prior
+from splatax.training.objectives import TrainingView as TrainingView
 
 
 class Source(NamedTuple):

@@ -22,6 +22,7 @@ from splatax.stages import composite, project
 from splatax.training import geometry
 from splatax.training.feed import Batch
 from splatax.training.moving import Pace, Rows, moved
+from splatax.training.objectives import TrainingView
 from splatax.training.optimizer import LearningRates
 from splatax.training.recipes import Recipe
 
@@ -236,7 +237,8 @@ def image_loss(view: Shown, appearance: Any, target: Target, recipe: Recipe) -> 
     # Drawn apart, so that `pull` tells what the photo misses, and kernels need not know it of so many.
     seen = unrolled(Seen(replace(view.splats, pull=None), None, target.camera))
     images = geometry.drawn(objective.geometry.outputs, view.channels, seen, kernels)
-    return loss + objective.geometry(images, target.camera, target.landmarks, target.progress)
+    known = TrainingView(target.camera, target.landmarks, target.progress)
+    return loss + objective.geometry(images, known)
 
 
 def counted(target: Target, kernel: Photometric) -> tuple[Bool[Array, "h w"] | None, Photometric]:

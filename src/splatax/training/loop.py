@@ -130,7 +130,7 @@ def optimize(
         require_visible(gaussians, dataset)
         padded = pad(gaussians, bucket_for(len(gaussians)))
         start = RunState(first_state(padded, recipe, dataset.extent, len(dataset.train)), len(gaussians))
-    stepper = stepper_for(recipe, devices)
+    stepper = stepper_for(recipe, devices, dataset.block.context if dataset.block else None)
     yield from _steps(dataset, recipe, start, pace or (lambda step: None), photo_room, stepper)
 
 

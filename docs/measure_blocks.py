@@ -1,4 +1,4 @@
-"""Measures blocks against one run of the whole: `python docs/measure_blocks.py draw|train|compare ...`.
+"""Measures blocks against one run: `python docs/measure_blocks.py draw|train|compare|memory ...`.
 
 draw FOLDER                        a drawn city as a capture: 98 photos, each of which shows a part of it
 train CAPTURE FOLDER N [OPTIONS]   one run and N blocks by the command line, with options of both such as
@@ -20,11 +20,14 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 import splatax as sx
 from splatax.blocks.boxes import block_of, places_of
-from splatax.blocks.plan import folder_of, read_plan
+from splatax.blocks.plan import folder_of, read_context, read_plan
 from splatax.cameras.geometry import points_at
 from splatax.evaluation import picture
 from splatax.io.datasets import colmap_writing
 from splatax.math import harmonics
+from splatax.training.feed import Batch
+from splatax.training.loop import first_state
+from splatax.training.step import _train_step
 
 SIZE, FOCAL = (160, 120), 110.0
 WIDE, HIGH = 12.0, 1.5  # world units: side of the city, and the highest house
@@ -130,6 +133,42 @@ def compare(capture: Path, folder: Path, downscale: int | None) -> None:
     save_picture([seam[1:] for seam in seams[:3]])
 
 
+def memory(folder: Path, gaussians: int) -> None:
+    """Prints the bytes that a compiled step needs, which the compiler counts: nothing is run."""
+    plan = read_plan(folder)
+    total = json.loads((folder / "blocks.json").read_text())["options"]["max_gaussians"]
+    coarse = len(sx.load(plan.coarse))
+    whole = step_bytes(gaussians, 0)
+    print(f"whole: {gaussians:,} Gaussians, {whole / 1e9:.2f} GB")
+    for number, block in enumerate(plan.blocks):
+        own = round(gaussians * block.gaussians / total)
+        around = round(gaussians / total * int(read_context(folder, number, coarse).sum()))
+        needed = step_bytes(own, around)
+        print(
+            f"block {number}: {own:,} Gaussians, {around:,} around them, {needed / 1e9:.2f} GB, "
+            f"{needed / whole:.0%} of the whole"
+        )
+
+
+def step_bytes(gaussians: int, around: int) -> int:
+    """Returns the bytes of the state, of the context and of all intermediate arrays of a step."""
+    recipe = sx.recipes.default(steps=1_000, max_gaussians=gaussians).on(sx.backends.resolve("cpu"))
+
+    def scene(rows: int) -> sx.Gaussians:
+        zeros = (jnp.zeros((rows, *shape)) for shape in ((3,), (4,), (3,), (), (16, 3)))
+        return sx.Gaussians(*zeros)
+
+    camera = sx.Camera.simple_pinhole(500.0, jnp.eye(4), 504, 378)
+    photo = jax.ShapeDtypeStruct((378, 504, 3), jnp.uint8)
+    context = jax.eval_shape(lambda: scene(around)) if around else None
+    state = jax.eval_shape(lambda: first_state(scene(gaussians), recipe, 1.0, 10))
+    rates, openings = recipe.optimizer.rates, jnp.asarray(recipe.sh.openings(recipe.steps))
+    batch = Batch(camera, photo, context=context)
+    compiled = _train_step.lower(state, batch, rates, openings, recipe).compile()
+    found = compiled.memory_analysis()
+    return found.argument_size_in_bytes + found.temp_size_in_bytes  # the state is donated: no output is added
+
+
 def near_borders(scene: sx.Gaussians, camera: sx.Camera, plan) -> tuple[np.ndarray, np.ndarray]:
     """Returns masks of the pixels near a border of boxes, and on it, by the depth of a scene."""
     depth = np.asarray(sx.render(scene, camera, outputs=("median_depth",))["median_depth"])
@@ -158,6 +197,8 @@ if __name__ == "__main__":
         draw(Path(words[0]))
     elif what == "train":
         train(Path(words[0]), Path(words[1]), int(words[2]), words[3:])
+    elif what == "memory":
+        memory(Path(words[0]), int(words[1]))
     else:
         jax.config.update("jax_platforms", "cpu")
         compare(Path(words[0]), Path(words[1]), int(words[2]) if words[2:] else None)

@@ -17,7 +17,7 @@ LAYERS = (  # lowest first; a package stands for all its modules
     {"training", "evaluation", "adjustment", "geometry_scores", "editing", "sensors"},
     {"demo", "bench", "reconstruction", "mesh", "notebook", "twins", "web"},
     {"runs"},
-    {"inspection"},
+    {"inspection", "blocks"},
     {"report"},
     {"viewer"},
     {"cli", "__main__"},

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, UInt8
 
 from splatax.cameras import Camera, rig
 from splatax.errors import DatasetError, InputError
+from splatax.gaussians import Gaussians, joined
 from splatax.splits import Every, HoldOut, Listed
 
 Pixels = UInt8[np.ndarray, "_ _ 3"] | UInt8[np.ndarray, "_ _ 4"]
@@ -133,6 +134,19 @@ class Survey:
 
 
 @dataclass(frozen=True)
+class Block:
+    """Part of a scene that is trained by itself, among Gaussians that are fixed; see `splatax.blocks`.
+
+    Attributes:
+        start: Gaussians from which its training starts.
+        context: Gaussians around it, which are drawn with it in every view and do not change.
+    """
+
+    start: Gaussians
+    context: Gaussians
+
+
+@dataclass(frozen=True)
 class Dataset:
     """Capture for training and evaluation.
 
@@ -144,6 +158,7 @@ class Dataset:
         background: background for photos with alpha; None if the capture does not define it.
         survey: measurements of the loader beyond the views.
         split: how the test views were chosen, in words; empty for the default rule.
+        block: the part of the scene that is trained; None for all of it.
     """
 
     train: tuple[View, ...]
@@ -153,6 +168,7 @@ class Dataset:
     background: Literal["white"] | None = None
     survey: Survey = field(default_factory=Survey)
     split: str = ""
+    block: Block | None = None
 
     @cached_property
     def views(self) -> tuple[View, ...]:
@@ -171,6 +187,15 @@ class Dataset:
         It is computed once: it takes 0.1 ms a camera.
         """
         return rig.extent_of([view.camera for view in self.train], self.points.positions)
+
+    def in_context(self, gaussians: Gaussians) -> Gaussians:
+        """Returns a scene that was trained on the capture as the photos show it.
+
+        It is the scene itself. If it is a block, the context of the block follows in further rows.
+        """
+        if self.block is None:
+            return gaussians
+        return joined([gaussians, replace(self.block.context, low_pass=gaussians.low_pass)])
 
 
 def hold_out(views: Sequence[View], rule: HoldOut = Every()) -> tuple[tuple[View, ...], tuple[View, ...]]:

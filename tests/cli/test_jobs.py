@@ -9,6 +9,7 @@ import pytest
 import yaml
 
 from splatax import cli
+from splatax.cli.blocks import TrainBlock
 from splatax.cli.train import Train
 
 JOBS = Path(__file__).parents[2] / "docs" / "jobs"
@@ -81,3 +82,24 @@ def test_the_pods_of_a_jobset_find_the_first_of_them():
     (port,) = (each["containerPort"] for each in container["ports"])
     assert spec["parallelism"] == spec["completions"]
     assert f"{first}:{port},{spec['completions']},$JOB_COMPLETION_INDEX" in container["args"][0]
+
+
+@pytest.mark.parametrize("name", ["blocks.sh", "blocks.yaml"])
+def test_jobs_of_blocks_train_the_block_that_their_variables_name(name, tmp_path, monkeypatch):
+    variables = {"CITY": str(tmp_path), "BLOCK": "3", "SLURM_ARRAY_TASK_ID": "3"}
+    script = JOBS / name
+    if name.endswith(".yaml"):
+        task = yaml.safe_load(script.read_text())
+        assert task["envs"].keys() == {"CITY", "BLOCK"}
+        script = tmp_path / "run.sh"
+        script.write_text(task["run"])
+    fake = tmp_path / "bin" / "splatax"
+    fake.parent.mkdir()
+    fake.write_text(f'#!/bin/sh\nprintf "%s\\n" "$@" > {tmp_path}/words\n')
+    fake.chmod(0o755)
+    path = f"{fake.parent}{os.pathsep}{os.environ['PATH']}"
+    subprocess.run(["bash", script], env={**variables, "PATH": path}, check=True)
+    commands = []
+    monkeypatch.setattr(TrainBlock, "run", lambda command: commands.append(command))
+    cli.main((tmp_path / "words").read_text().split("\n")[:-1])
+    assert [(command.city, command.block) for command in commands] == [(tmp_path, 3)]

@@ -13,6 +13,7 @@ import splatax
 from splatax.cli.animate import Animate
 from splatax.cli.bench import Bench
 from splatax.cli.bind import Bind
+from splatax.cli.blocks import Blocks
 from splatax.cli.cache import Cache
 from splatax.cli.compare import Compare
 from splatax.cli.compose import Compose
@@ -62,6 +63,7 @@ COMMANDS = {
     "bench": Bench,
     "cache": Cache,
     "plan": Plan,
+    "blocks": Blocks,
     "doctor": Doctor,
 }
 REFUSED = 2  # exit code

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import splatax as sx
+from splatax.blocks.parts import part_of
 from splatax.cli.options import flag, load_scene
 from splatax.cli.output import say
 from splatax.cli.settings import Settings
@@ -60,7 +61,7 @@ def loaded(settings: Settings, downscale: int | None = None) -> sx.Dataset:
         dataset = with_poses(dataset, settings.poses)
         note = f"poses of training photos from {settings.poses.name}"
         dataset = replace(dataset, notes=(*dataset.notes, note))
-    return dataset
+    return part_of(dataset, settings.city, settings.block) if settings.city else dataset
 
 
 def prepared(settings: Settings, dataset: sx.Dataset, out: Path) -> tuple[Settings, sx.Dataset]:
@@ -75,6 +76,8 @@ def prepared(settings: Settings, dataset: sx.Dataset, out: Path) -> tuple[Settin
         dataset: the capture.
         out: folder of the run.
     """
+    if settings.city:
+        return settings, dataset  # all is decided for all blocks at once
     if settings.refine != "none":
         check_lenses(settings.refine, dataset.train)
     if settings.adjust_poses:

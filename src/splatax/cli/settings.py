@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import splatax as sx
+from splatax.blocks.plan import PLAN, digest_of
 from splatax.cli.options import (
     AppearanceName,
     BackendName,
@@ -30,6 +31,7 @@ from splatax.training.appearance import APPEARANCES
 from splatax.training.backgrounds import BACKGROUNDS
 from splatax.training.camera_refinement import CAMERA_REFINEMENTS
 from splatax.training.geometry import Surfaces
+from splatax.training.initialize import FromBlock
 from splatax.training.photo_weights import PHOTO_WEIGHTS
 from splatax.training.protocols import Initialization
 from splatax.training.recipes import PRESETS, Drawing
@@ -74,6 +76,8 @@ class Settings:
     refine: RefinementName = "none"
     adjust_poses: bool = False
     poses: Path | None = None  # file of adjusted poses, once they are found
+    city: Path | None = None  # folder of a plan, for the run of one of its blocks
+    block: int = 0
     geometry: bool = False
     photo_weights: PhotoWeightsName = "auto"
     backend: BackendName = "auto"
@@ -118,6 +122,7 @@ class Settings:
             points=self.points and self.points.absolute(),
             poses=self.poses and self.poses.absolute(),
             judged_by=self.judged_by and self.judged_by.absolute(),
+            city=self.city and self.city.absolute(),
         )
 
     def most(self, dataset: sx.Dataset) -> int:
@@ -167,6 +172,8 @@ class Settings:
 
     def initialization(self) -> Initialization:
         """Returns how the first Gaussians are created."""
+        if self.city:
+            return FromBlock(digest_of(self.city / PLAN), self.block)
         preset = PRESETS[self.recipe]
         return preset.random_start if self.init == "random" else preset.build(steps=self.steps).initialization
 

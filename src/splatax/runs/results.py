@@ -82,6 +82,11 @@ class Results:
         gaussians = jax.tree.map(lambda leaf: jnp.array(leaf[: state.count]), state.train.gaussians)
         return replace(gaussians, low_pass=self.recipe.drawing.low_pass)
 
+    @cached_property
+    def shown(self) -> Gaussians:
+        """The scene as photos show it: that of a block with what surrounds it."""
+        return self.dataset.in_context(self.gaussians)
+
     @property
     def refines_cameras(self) -> bool:
         """True if the training cameras were refined, so that there is a model of them."""
@@ -92,7 +97,7 @@ class Results:
         """Scores of the held-out views with adjusted poses; None unless the run changed training poses."""
         if not (self.dataset.test and (self.refines_cameras or self.options.get("adjust_poses"))):
             return None
-        return evaluate_adjusted(self.gaussians, self.dataset.test, renderer=self.recipe.renderer)
+        return evaluate_adjusted(self.shown, self.dataset.test, renderer=self.recipe.renderer)
 
     @cached_property
     def doubted(self) -> dict[str, float]:
@@ -166,7 +171,7 @@ class Results:
 
     def geometry(self) -> dict[str, Any] | None:
         """Returns the errors of depth and normals in the held-out views; None if there is no reference."""
-        scores = evaluate_geometry(self.gaussians, self.dataset.test, renderer=self.recipe.renderer)
+        scores = evaluate_geometry(self.shown, self.dataset.test, renderer=self.recipe.renderer)
         return as_json_of_geometry(scores) if scores else None
 
     def repeatable(self) -> dict[str, Any]:
@@ -181,7 +186,7 @@ class Results:
         }
 
     def _comparisons(self, views: Sequence[View]) -> Iterator[Comparison]:
-        for score, photo, image, mask in compared(self.gaussians, views, self.recipe.renderer):
+        for score, photo, image, mask in compared(self.shown, views, self.recipe.renderer):
             yield Comparison(score, photo, image, mask)
 
     def _write_cameras(self) -> None:

@@ -130,7 +130,7 @@ class Session:
 
     def _take_picture(self, progress: Progress) -> None:
         image = picture(
-            progress.padded,
+            self.dataset.in_context(progress.padded),
             (self.dataset.test or self.dataset.train)[0].camera,
             self.recipe.renderer,
         )
@@ -138,7 +138,8 @@ class Session:
         self.history.frames.append((label, shrunk(image)))
 
     def _evaluate(self, progress: Progress) -> None:
-        scores = evaluate(progress.padded, self.dataset.test, renderer=self.recipe.renderer)
+        scene = self.dataset.in_context(progress.padded)
+        scores = evaluate(scene, self.dataset.test, renderer=self.recipe.renderer)
         self.history.evaluations.append(Evaluation(progress.step, self.history.train_seconds, scores))
 
     def _save(self, progress: Progress) -> None:

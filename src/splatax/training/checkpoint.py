@@ -179,13 +179,15 @@ def fingerprint(dataset: Dataset) -> dict[str, Any]:
     sizes = [(view.name, view.camera.width, view.camera.height, view.mask is not None) for view in views]
     cameras = [np.asarray(leaf) for view in views for leaf in jax.tree.leaves(view.camera)]
     lenses = "".join(type(view.camera.lens).__name__ for view in views)  # some have no numbers
+    parts = (dataset.block.start, dataset.block.context) if dataset.block else ()
+    block = [np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(parts)]
     return {
         "photos": f"{len(dataset.train)} to train on and {len(dataset.test)} held out",
         "names, sizes and masks of photos": _digest(repr(sizes).encode()),
         "cameras": _digest(lenses.encode(), *(array.tobytes() for array in cameras)),
         "points": f"{len(dataset.points)}, "
         + _digest(dataset.points.positions.tobytes(), dataset.points.colors.tobytes()),
-    }
+    } | ({"block": _digest(*block)} if block else {})
 
 
 def name_of(path: tuple[Any, ...]) -> str:

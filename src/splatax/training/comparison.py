@@ -19,7 +19,7 @@ from splatax.splats import Splats
 from splatax.training.devices import BLOCK, exchange, exchange_back, from_all_views, own_views, sum_in_order
 from splatax.training.protocols import Source
 from splatax.training.recipes import Recipe
-from splatax.training.step import Shown, Target, TrainState, shown, weighted_loss
+from splatax.training.step import Shown, Target, TrainState, shown, surroundings, weighted_loss
 
 
 @jax.tree_util.register_dataclass
@@ -34,6 +34,7 @@ class Views:
         source: indices of each view and of its lens.
         landmarks: as in `Batch`.
         divisor: factor by which the photos were downscaled (static).
+        context: as in `Batch`.
     """
 
     camera: Camera
@@ -42,6 +43,7 @@ class Views:
     source: Source
     landmarks: Float[Array, "k m 3"] | None = None
     divisor: int = field(default=1, metadata={"static": True})
+    context: Gaussians | None = None
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,7 @@ def compare_views(
 
     def draw(here):
         view, appearance, target = here
+        target = target._replace(context=surroundings(views.context, target.camera, recipe, views.divisor))
         return jax.value_and_grad(weighted_loss, argnums=(0, 1), has_aux=True)(
             view, appearance, target, recipe
         )

@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float, UInt8
 from splatax.ahead import cores
 from splatax.cameras import Camera
 from splatax.dataset import Mask, Pixels, View
+from splatax.gaussians import Gaussians
 from splatax.training.photo_cache import Frame, PhotoCache
 from splatax.training.protocols import ResolutionSchedule, Source
 from splatax.training.resolution import Resolution
@@ -36,6 +37,7 @@ class Batch:
         source: indices of the view and of its lens.
         divisor: factor by which the photo was downscaled (static).
         landmarks: world points that the photo shows, padded with NaN; None if they are not asked for.
+        context: Gaussians that the photo shows too and that are not learned; None if there are none.
     """
 
     camera: Camera
@@ -44,6 +46,7 @@ class Batch:
     source: Source = FIRST
     divisor: int = field(default=1, metadata={"static": True})
     landmarks: Float[Array, "k 3"] | None = None
+    context: Gaussians | None = None
 
 
 def batches(

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from splatax.cameras import Camera, rig
 from splatax.cameras.geometry import points_at, seen_at
 from splatax.cameras.lenses.protocol import NEAR
-from splatax.dataset import Dataset
+from splatax.dataset import Block, Dataset
 from splatax.errors import DatasetError
 from splatax.gaussians import Gaussians
 from splatax.math import harmonics
@@ -109,6 +109,44 @@ class Discs:
         quats /= np.linalg.norm(quats, axis=1, keepdims=True)
         flat = gaussians.log_scales.at[:, 2].set(-jnp.inf)
         return replace(gaussians, quats=jnp.asarray(quats, jnp.float32), log_scales=flat)
+
+
+@dataclass(frozen=True)
+class FromBlock:
+    """Starts from the Gaussians that a block of a larger scene has in a coarse run; see `splatax.blocks`.
+
+    Attributes:
+        plan: digest of the plan that cut the scene, so that runs of different plans have different recipes.
+        index: number of the block in the plan.
+    """
+
+    plan: str
+    index: int
+
+    def number(self, dataset: Dataset) -> int:
+        """Returns the number of Gaussians."""
+        return len(_block_of(dataset).start)
+
+    def __call__(self, dataset: Dataset, sh_degree: int, seed: int) -> Gaussians:
+        """Returns the coarse Gaussians of the block; harmonics that they lack are zeros.
+
+        Raises:
+            DatasetError: if the capture is not that of a block, or they have more harmonics than the recipe.
+        """
+        start = _block_of(dataset).start
+        if start.sh_degree > sh_degree:
+            raise DatasetError(
+                f"The coarse scene has colours of SH degree {start.sh_degree}, the recipe of {sh_degree}. "
+                "Reduce those of the scene: splatax export --sh-degree."
+            )
+        more = harmonics.count(sh_degree) - start.sh.shape[1]
+        return replace(start, sh=jnp.pad(start.sh, ((0, 0), (0, more), (0, 0))), low_pass=Gaussians.low_pass)
+
+
+def _block_of(dataset: Dataset) -> Block:
+    if dataset.block is None:
+        raise DatasetError("The recipe starts from a block, but the capture is a whole one.")
+    return dataset.block
 
 
 def isolated(positions: Float[np.ndarray, "n 3"], deviations: float) -> Bool[np.ndarray, " n"]:

@@ -17,7 +17,7 @@ from splatax.gaussians import Gaussians
 from splatax.losses import photometric_on_canvas
 from splatax.low_pass import LowPass
 from splatax.outputs import over
-from splatax.splats import Splats
+from splatax.splats import Splats, joined
 from splatax.stages import composite, project
 from splatax.training import geometry
 from splatax.training.feed import Batch
@@ -182,7 +182,8 @@ def compare(
     view, pull_back, camera = jax.vjp(project_view, state.gaussians, correction, has_aux=True)
     progress = state.step / state.total
     weight = recipe.objective.weights.of_photo(state.weights, batch.source.view, progress)
-    target = Target(batch.photo, batch.mask, batch.landmarks, background, camera, progress, weight)
+    context = surroundings(batch.context, camera, recipe, batch.divisor)
+    target = Target(batch.photo, batch.mask, batch.landmarks, background, camera, progress, weight, context)
     (_, loss), (d_view, d_appearance) = jax.value_and_grad(weighted_loss, argnums=(0, 1), has_aux=True)(
         view, appearance, target, recipe
     )
@@ -207,6 +208,28 @@ class Target(NamedTuple):
     camera: Camera  # as corrected
     progress: Float[Array, ""]  # fraction of the run that is done
     weight: Any = 1.0  # of the photo in the loss: a scalar
+    context: Shown | None = None  # drawn with the view, and not learned
+
+
+def surroundings(context: Gaussians | None, camera: Camera, recipe: Recipe, divisor: int) -> Shown | None:
+    """Projects the context of a view, see `Batch`, as `shown` does; None if there is none."""
+    return None if context is None else shown(context, camera, recipe, divisor)
+
+
+def beside(view: Shown, context: Shown | None) -> Shown:
+    """Returns what a photo shows: the splats that are trained, then those of the context."""
+    if context is None:
+        return view
+    rows, more = len(view.splats.depths), len(context.splats.depths)
+
+    def both(name: str) -> Float[Array, "m _"]:
+        # The channels of a panorama have a second set of rows, for the copies beyond its seam.
+        own, other = view.channels[name], context.channels[name]
+        copies = len(own) // rows
+        pairs = zip(jnp.split(own, copies), jnp.split(other, len(other) // more), strict=True)
+        return jnp.concatenate([part for pair in pairs for part in pair])
+
+    return Shown(joined([view.splats, context.splats]), {name: both(name) for name in view.channels})
 
 
 def shown(gaussians: Gaussians, camera: Camera, recipe: Recipe, divisor: int) -> Shown:
@@ -227,6 +250,7 @@ def weighted_loss(
 
 def image_loss(view: Shown, appearance: Any, target: Target, recipe: Recipe) -> Float[Array, ""]:
     """Draws a view in the colours of its photo, and returns the loss."""
+    view = beside(view, target.context)
     kernels, objective = backends.resolve(recipe.drawing.backend), recipe.objective
     sums, alpha = composite(view.splats, view.splats.colors, backend=kernels)
     image = over(recipe.appearance(appearance, sums, alpha), alpha, target.background)

@@ -6,10 +6,12 @@ from typing import Any, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from splatax.cameras.canvases import Size, canvases_for
 from splatax.dataset import View
+from splatax.gaussians import Gaussians
 from splatax.training.comparison import Views
 from splatax.training.devices import Dealt, devices_for
 from splatax.training.feed import Batch, batches
@@ -47,8 +49,15 @@ class Stepper(Protocol):
         ...
 
 
+@dataclass(frozen=True)
 class OneView:
-    """Steps on one view, on JAX's default device."""
+    """Steps on one view, on JAX's default device.
+
+    Attributes:
+        context: Gaussians that are drawn in every view and not trained; None if there are none.
+    """
+
+    context: Gaussians | None = None
 
     def placed(self, state: TrainState) -> TrainState:
         """Returns the state as it is."""
@@ -68,7 +77,7 @@ class OneView:
 
     def step(self, state: TrainState, seen: Batch, recipe: Recipe) -> tuple[TrainState, Float[Array, ""]]:
         """Makes a step on one view."""
-        return train_step(state, seen, recipe)
+        return train_step(state, replace(seen, context=self.context), recipe)
 
 
 @dataclass(frozen=True)
@@ -77,9 +86,11 @@ class SeveralViews:
 
     Attributes:
         dealt: the devices.
+        context: as that of `OneView`, on all devices.
     """
 
     dealt: Dealt
+    context: Gaussians | None = None
 
     def placed(self, state: TrainState) -> TrainState:
         """Deals the rows of a state to the devices."""
@@ -99,6 +110,7 @@ class SeveralViews:
     def step(self, state: TrainState, seen: Views, recipe: Recipe) -> tuple[TrainState, Float[Array, ""]]:
         """Makes a step on several views."""
         openings = jnp.asarray(recipe.sh.openings(recipe.steps))
+        seen = replace(seen, context=self.context)
         return step_on_views(state, seen, recipe.optimizer.rates, openings, recipe, self.dealt.mesh)
 
 
@@ -118,12 +130,15 @@ def canvases_of(
     return canvases_for([view.camera for view in views], most)
 
 
-def stepper_for(recipe: Recipe, devices: Sequence[jax.Device] | None) -> Stepper:
+def stepper_for(
+    recipe: Recipe, devices: Sequence[jax.Device] | None, context: Gaussians | None = None
+) -> Stepper:
     """Returns how the steps of a recipe are made.
 
     Args:
         recipe: the settings.
         devices: on which; None for as many as divide the views of a step.
+        context: Gaussians that are drawn in every view and not trained.
 
     Raises:
         ValueError: if the devices do not divide the views.
@@ -131,5 +146,7 @@ def stepper_for(recipe: Recipe, devices: Sequence[jax.Device] | None) -> Stepper
     if recipe.views < 1:
         raise ValueError(f"a step needs at least one view, not {recipe.views}")
     if recipe.views == 1 and devices is None:
-        return OneView()
-    return SeveralViews(Dealt(devices_for(recipe.views, devices)))
+        return OneView(context)
+    dealt = Dealt(devices_for(recipe.views, devices))
+    everywhere = jax.tree.map(lambda leaf: dealt.everywhere(np.asarray(leaf)), context)
+    return SeveralViews(dealt, everywhere)

@@ -1,0 +1,1 @@
+"""Blocks of a scene that is too large for one run: a plan, runs of single blocks, and their merger."""

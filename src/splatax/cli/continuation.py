@@ -1,0 +1,44 @@
+"""Runs of other commands that start anew, or go on where they were stopped."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from splatax.cli.settings import NAMES, Settings, as_started
+from splatax.cli.train import MAY_CHANGE, Train
+from splatax.cli.train_options import Limits
+from splatax.runs.checkpoints import files
+from splatax.runs.history import History
+from splatax.runs.records import understood
+from splatax.runs.resume import OTHER, find
+
+
+def carry_on(settings: Settings, out: Path) -> None:
+    """Starts a run, or continues it from its last checkpoint.
+
+    Raises:
+        InputError: if the run that was stopped has other settings.
+    """
+    train = Train(limits=Limits(steps=settings.steps))
+    if not files(out) or settings.overwrite:
+        train.train(settings, History())
+        return
+    earlier = find(out)
+    with understood(earlier.path, OTHER):
+        stored = as_before(settings, earlier.options)
+    train.train(stored, earlier.history, earlier=earlier)
+
+
+def as_before(settings: Settings, stored: Mapping[str, Any]) -> Settings:
+    """Returns the settings with which a run goes on.
+
+    Args:
+        settings: wanted now.
+        stored: settings of the run, as JSON values.
+
+    Raises:
+        InputError: if others than those that may change are not those of the run.
+    """
+    now = settings.absolute()
+    wanted = {name: getattr(now, name) for name in NAMES - {"out", "overwrite"}}
+    return as_started(stored, wanted, MAY_CHANGE)

@@ -41,4 +41,4 @@ def as_before(settings: Settings, stored: Mapping[str, Any]) -> Settings:
     """
     now = settings.absolute()
     wanted = {name: getattr(now, name) for name in NAMES - {"out", "overwrite"}}
-    return as_started(stored, wanted, MAY_CHANGE)
+    return as_started(Settings, stored, wanted, MAY_CHANGE)

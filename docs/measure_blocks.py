@@ -171,7 +171,7 @@ def step_bytes(gaussians: int, around: int) -> int:
 
 def near_borders(scene: sx.Gaussians, camera: sx.Camera, plan) -> tuple[np.ndarray, np.ndarray]:
     """Returns masks of the pixels near a border of boxes, and on it, by the depth of a scene."""
-    depth = np.asarray(sx.render(scene, camera, outputs=("median_depth",))["median_depth"])
+    depth = np.asarray(sx.render(scene, camera, outputs=("median_depth",)).images["median_depth"])
     height, width = depth.shape
     pixels = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1).reshape(-1, 2)
     points = points_at(camera, pixels, np.maximum(depth.ravel(), 1e-3))

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
@@ -67,25 +67,31 @@ def planes(gaussians: Gaussians, camera: Camera, splats: Splats) -> Planes:
     shown = jnp.all(splats.extents > 0, axis=1)
     ahead = camera.position + camera.rotation[2]  # what every lens sees
 
-    def one(shown, mean, quat, log_scale, sqrt_conic, opacity, blur):
+    def one(shown, mean, quat, log_scale):
         mean, quat = jnp.where(shown, mean, ahead), jnp.where(shown, quat, jnp.eye(4, dtype=quat.dtype)[0])
         log_scale = jnp.where(shown, jnp.maximum(log_scale, LEAST_LOG_SCALE), 0)  # -inf is exactly flat
+        return _plane(camera, mean, quat, log_scale)
+
+    def limit(shown, plane, sqrt_conic, opacity, blur):
         opacity = jnp.where(shown, opacity, 1)
         sqrt_conic = jnp.where(shown, sqrt_conic, jnp.array([1, 0, 1], sqrt_conic.dtype))
-        disparity, slope, normal, axis, spread = _plane(camera, mean, quat, log_scale)
-        limit = _limit(disparity, slope, spread, sqrt_conic, opacity, blur)
-        return disparity, slope * limit, normal, axis
+        disparity, (x, y), spread = plane
+        factor = _limit(disparity, (x, y), spread, sqrt_conic, opacity, blur)
+        return factor * x, factor * y
 
     blurs = None if splats.slants is None else 1 / splats.slants[:, 5]
-    fields = gaussians.means, gaussians.quats, gaussians.log_scales, splats.sqrt_conics, splats.opacities
-    return Planes(*jax.vmap(one)(shown, *fields, blurs))
+    inclined, normals, axes = jax.vmap(one)(shown, gaussians.means, gaussians.quats, gaussians.log_scales)
+    # Without barriers, the compiler repeats the whole computation for each number that is stacked below.
+    inclined = jax.lax.optimization_barrier(inclined)
+    slopes = jax.vmap(limit)(shown, inclined, splats.sqrt_conics, splats.opacities, blurs)
+    stacked = (jax.lax.optimization_barrier(rows) for rows in (slopes, normals, axes))
+    return Planes(inclined[0], *(jnp.stack(rows, axis=1) for rows in stacked))
 
 
 def _plane(camera: Camera, mean: Float[Array, "3"], quat: Float[Array, "4"], log_scale: Float[Array, "3"]):
-    """Returns one plane, and the Gaussian's standard deviation of inverse depth.
+    """Returns one plane with the Gaussian's standard deviation of inverse depth, its normal, and its axis.
 
-    Vectors are tuples of numbers: for thousands of Gaussians, the compiler makes loops of products of numbers
-    that are several times as fast as those of small matrices.
+    Vectors are tuples of numbers, because CPUs multiply thousands of small matrices slowly.
     """
 
     def seen(point):
@@ -94,32 +100,27 @@ def _plane(camera: Camera, mean: Float[Array, "3"], quat: Float[Array, "4"], log
         return x, y, 1 / camera.lens.depth(local)
 
     (_, _, disparity), push = jax.linearize(seen, mean)
-    x, y, near = zip(*(push(direction) for direction in jnp.eye(3, dtype=mean.dtype)), strict=True)
+    first, second, third = (push(direction) for direction in jnp.eye(3, dtype=mean.dtype))
+    x, y, near = zip(first, second, third, strict=True)
     # Columns of the inverse of the Jacobian, up to a factor: how the point moves if x, y or nearness grows.
     along = _cross(y, near), _cross(near, x), _cross(x, y)
     sign = jnp.sign(_dot(near, along[2]))
     facing = _times(sign / jnp.sqrt(_dot(along[2], along[2])), along[2])
     axes, sizes = _axes(quat), tuple(log_scale)
     least = jax.lax.stop_gradient(jnp.minimum(jnp.minimum(sizes[0], sizes[1]), sizes[2]))
-    factors = [  # a factor of Sigma does not change the plane
-        jnp.exp(2 * jnp.maximum(least - size, FLATTEST)) * _dot(axis, facing)
+    turned = [  # a factor of Sigma does not change the plane
+        _times(jnp.exp(2 * jnp.maximum(least - size, FLATTEST)) * _dot(axis, facing), axis)
         for size, axis in zip(sizes, axes, strict=True)
     ]
-    first, second, third = (_times(factor, axis) for factor, axis in zip(factors, axes, strict=True))
-    normal = tuple(a + b + c for a, b, c in zip(first, second, third, strict=True))
+    normal = _sum(*turned)
     down = _dot(normal, along[2])
-    slope = -jnp.stack([_dot(normal, along[0]) / down, _dot(normal, along[1]) / down])
-    spread = jnp.linalg.norm(
-        jnp.stack([_dot(near, a) * jnp.exp(s) for a, s in zip(axes, sizes, strict=True)])
-    )
-    thin = (
-        jnp.where(sizes[0] <= least, a, jnp.where(sizes[1] <= least, b, c))
-        for a, b, c in zip(*axes, strict=True)
-    )
-    axis = tuple(thin)
-    towards = jnp.where(_dot(axis, facing) < 0, -1, 1).astype(mean.dtype)
+    slope = -_dot(normal, along[0]) / down, -_dot(normal, along[1]) / down
+    spreads = [_dot(near, axis) * jnp.exp(size) for size, axis in zip(sizes, axes, strict=True)]
+    spread = jnp.sqrt(spreads[0] ** 2 + spreads[1] ** 2 + spreads[2] ** 2)
+    thin = _where(sizes[0] <= least, axes[0], _where(sizes[1] <= least, axes[1], axes[2]))
+    towards = jnp.where(_dot(thin, facing) < 0, -1, 1).astype(mean.dtype)
     unit_normal = _times(1 / jnp.sqrt(_dot(normal, normal)), normal)
-    return disparity, slope, jnp.stack(unit_normal), jnp.stack(_times(towards, axis)), spread
+    return (disparity, slope, spread), unit_normal, _times(towards, thin)
 
 
 def _axes(quat: Float[Array, "4"]) -> tuple[Vector, Vector, Vector]:
@@ -147,9 +148,17 @@ def _times(factor: Float[Array, ""], a: Vector) -> Vector:
     return factor * a[0], factor * a[1], factor * a[2]
 
 
+def _sum(a: Vector, b: Vector, c: Vector) -> Vector:
+    return a[0] + b[0] + c[0], a[1] + b[1] + c[1], a[2] + b[2] + c[2]
+
+
+def _where(mask: Bool[Array, ""], a: Vector, b: Vector) -> Vector:
+    return jnp.where(mask, a[0], b[0]), jnp.where(mask, a[1], b[1]), jnp.where(mask, a[2], b[2])
+
+
 def _limit(
     disparity: Float[Array, ""],
-    slope: Float[Array, "2"],
+    slope: tuple[Float[Array, ""], Float[Array, ""]],
     spread: Float[Array, ""],
     sqrt_conic: Float[Array, "3"],
     opacity: Float[Array, ""],
@@ -164,7 +173,7 @@ def _limit(
     second = (slope[1] - v * first) / w
     squared = first * first + second * second
     sloped = squared > 0
-    blurred = squared if blur is None else jnp.sum(slope * slope) * blur
+    blurred = squared if blur is None else (slope[0] * slope[0] + slope[1] * slope[1]) * blur
     drawn = jnp.sqrt(jnp.where(sloped, blurred, 1))  # deviation of the plane over the drawn ellipse
     reach = jnp.sqrt(jnp.maximum(2 * jnp.log(jnp.maximum(opacity / MIN_ALPHA, 1)), 1e-6))
     most = jnp.minimum(STEEPEST * spread, FARTHEST * disparity / reach)

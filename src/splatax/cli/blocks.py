@@ -81,7 +81,7 @@ class PlanBlocks:
                 say(note)
             settings, dataset = prepared(settings, dataset, self.out)
             settings = replace(
-                settings, background=settings.background or dataset.background, adjust_poses=False
+                settings, background=settings.background or dataset.background, adjust_cameras="none"
             )
             if self.steps is None:
                 settings = with_steps(settings, dataset)

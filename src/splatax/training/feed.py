@@ -2,7 +2,7 @@
 
 import math
 from collections import deque
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import count, islice
@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, UInt8
 
 from splatax.ahead import cores
 from splatax.cameras import Camera
+from splatax.cameras.rig import numbers_of_lenses
 from splatax.dataset import Mask, Pixels, View
 from splatax.gaussians import Gaussians
 from splatax.training.photo_cache import Frame, PhotoCache
@@ -126,6 +127,7 @@ def landmarks_of(views: Sequence[View]) -> Float[np.ndarray, "views k 3"] | None
 
 
 def sources(views: Sequence[View]) -> list[Source]:
+<<<<<<< HEAD
     """Returns the source of each view. Two photos have the same lens if all but their poses is equal.
 
     Faces of a 360-degree photo are one photo: they share its exposure and the corrections of its pose.
@@ -142,6 +144,15 @@ def sources(views: Sequence[View]) -> list[Source]:
         place = np.asarray(camera.position, np.float32)
         photo = np.int32(photos.setdefault(view.photo, len(photos)))
         found.append(Source(photo, lens, np.float32(pixel), place))
+=======
+    """Returns the source of each view. Two photos have the same lens if all but their poses is equal."""
+    lenses = numbers_of_lenses([view.camera for view in views])
+    found = []
+    for index, (view, lens) in enumerate(zip(views, lenses, strict=True)):
+        pixel = 1 / np.mean(np.asarray(view.camera.focal, np.float64))
+        place = np.asarray(view.camera.position, np.float32)
+        found.append(Source(np.int32(index), np.int32(lens), np.float32(pixel), place))
+>>>>>>> ee4217a (train --adjust-cameras: bundle adjustment before training also finds focal lengths and distortion)
     return found
 
 

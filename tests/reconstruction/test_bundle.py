@@ -116,7 +116,7 @@ def test_lenses_that_were_set_to_zero_come_back_each_for_its_own_photos():
         replace(v, camera=replace(v.camera, lens=opencv(), cx=v.camera.cx + 0.01 * (i % 2)))
         for i, v in enumerate(true)
     ]
-    outcome = adjusted_cameras(zeroed, "poses+lens")
+    outcome = adjusted_cameras(zeroed, "poses+distortion")
     assert outcome.helps
     assert outcome.after < 0.4 * outcome.before
     for i, k1 in enumerate((-0.2, 0.1)):
@@ -124,16 +124,15 @@ def test_lenses_that_were_set_to_zero_come_back_each_for_its_own_photos():
         assert isinstance(lens, OpenCV)
         assert_same(lens, outcome.views[i + 2].camera.lens)
         np.testing.assert_allclose(lens.radials[0], k1, atol=0.015)
-    # Pixels and places agree much better than coefficients, which trade against each other.
     assert apart(zeroed, true) > 1.0
-    assert apart(outcome.views, true) < 0.3
+    assert apart(outcome.views, true) < 0.5
     for ours, truth in zip(outcome.views, true, strict=True):
         np.testing.assert_allclose(ours.camera.position, truth.camera.position, atol=0.02)
     held_out = replace(zeroed[1], name="held-out.jpg")
     (again,) = corrected([held_out], outcome.lenses_of([held_out]))
     assert_same(again.camera.lens, outcome.views[1].camera.lens)
     np.testing.assert_array_equal(again.camera.cam_from_world, held_out.camera.cam_from_world)
-    assert str(outcome).count("2 lenses, focal lengths times 1.0") == 1
+    assert "; 2 lenses, focal lengths times 1.0000 to 1.0000" in str(outcome)
 
 
 def test_each_photo_with_a_lens_of_its_own_gets_its_focal_length(views):

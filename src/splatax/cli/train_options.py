@@ -127,10 +127,10 @@ class Method:
     Cameras of held-out photos stay as given. By default none."""
     adjust_cameras: Annotated[AdjustmentName | None, shown_as()] = None
     """Adjust the cameras of training photos to matched features before training (bundle adjustment): their
-    poses, and with "poses+focal" focal lengths, with "poses+lens" focal lengths and distortion. The given
-    cameras are kept if that does not lower the reprojection error of points kept aside. Held-out photos have
-    no part in it and keep their poses, but have the lenses found for training photos; they are also scored
-    with poses adjusted to them. By default none."""
+    poses; also focal lengths with "poses+focal", distortion with "poses+distortion", or both with
+    "poses+lens". The given cameras are kept if that does not lower the reprojection error of points kept
+    aside. Held-out photos have no part in it and keep their poses, but have the lenses found for training
+    photos; they are also scored with poses adjusted to them. By default none."""
     geometry: Annotated[bool, shown_as()] = False
     """Make the Gaussians lie on surfaces, for accurate depth, normals and meshes. Adds penalties on the
     spread of depth along each ray, and on depths that differ from those of the capture's own points or depth

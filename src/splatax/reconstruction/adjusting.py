@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from splatax.reconstruction.calibration import Free
+from splatax.reconstruction.calibration import DISTORTION, FOCAL, Free
 from splatax.reconstruction.similarity import similarity_of_cameras
 from splatax.reconstruction.triangulation import DATABASE
 
@@ -76,17 +76,17 @@ def adjust(model: "pycolmap.Reconstruction", free: Free) -> Part:
     }
     photos = {number for number, count in seen.items() if count >= FEWEST_OBSERVATIONS}
     part = Part(frozenset(photos), frozenset(lenses))
-    _solve(model, part, coefficients=free == "poses+lens")
+    _solve(model, part, free)
     return part
 
 
-def _solve(model: "pycolmap.Reconstruction", part: Part, coefficients: bool = False) -> None:
+def _solve(model: "pycolmap.Reconstruction", part: Part, free: Free = "poses") -> None:
     """Moves the points of a model, and a part of its cameras, so that they agree with the observations."""
     import pycolmap
 
     options = pycolmap.BundleAdjustmentOptions()
     options.print_summary = False
-    options.refine_focal_length, options.refine_extra_params = bool(part.lenses), coefficients
+    options.refine_focal_length, options.refine_extra_params = free in FOCAL, free in DISTORTION
     options.refine_principal_point = False
     options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
     options.ceres.loss_function_scale = OUTLIER

@@ -116,9 +116,10 @@ def adjusted_cameras(
 
     Args:
         views: views with cameras that are accurate to several pixels, apart from what is free.
-        free: what is adjusted: "poses"; "poses+focal", also the focal lengths of each lens; or "poses+lens",
-            also its distortion. A pinhole, or a lens of OpenCV's, gets k1 and k2, and p1 and p2 if they or
-            the difference of its focal lengths are not zero.
+        free: what is adjusted: "poses"; "poses+focal", also the focal lengths of each lens;
+            "poses+distortion", also its distortion; or "poses+lens", all of these. A pinhole, or a lens of
+            OpenCV's, gets k1 and k2, and p1 and p2 if they or the difference of its focal lengths are not
+            zero.
         seed: random seed.
         watch: function that is called with the progress of each of `STAGES`.
     """

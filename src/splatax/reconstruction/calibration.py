@@ -16,7 +16,9 @@ from splatax.dataset import View
 if TYPE_CHECKING:
     import pycolmap
 
-Free = Literal["poses", "poses+focal", "poses+lens"]  # what bundle adjustment may change
+# What bundle adjustment may change; the lens is focal lengths and distortion.
+Free = Literal["poses", "poses+focal", "poses+distortion", "poses+lens"]
+FOCAL, DISTORTION = ("poses+focal", "poses+lens"), ("poses+distortion", "poses+lens")
 ADJUSTMENTS: tuple[str, ...] = get_args(Free)
 OF_OPENCV = ("PINHOLE", "FULL_OPENCV")  # COLMAP's models for lenses of OpenCV's
 

@@ -114,7 +114,7 @@ class PlanBlocks:
                 raise InputError(f"{flag(name)}: at least {least}, not {value}.")
         if self.method.refine not in (None, "none"):
             raise InputError(
-                "--refine: each block would move the cameras in its own way. Use --adjust-poses, which "
+                "--refine: each block would move the cameras in its own way. Use --adjust-cameras, which "
                 "adjusts them once, or leave the option out."
             )
         if self.photos.judged_by:

@@ -127,32 +127,18 @@ def landmarks_of(views: Sequence[View]) -> Float[np.ndarray, "views k 3"] | None
 
 
 def sources(views: Sequence[View]) -> list[Source]:
-<<<<<<< HEAD
     """Returns the source of each view. Two photos have the same lens if all but their poses is equal.
 
     Faces of a 360-degree photo are one photo: they share its exposure and the corrections of its pose.
     """
-    lenses: dict[Hashable, int] = {}
+    lenses = numbers_of_lenses([view.camera for view in views])
     photos: dict[str, int] = {}
     found = []
-    for view in views:
-        camera = view.camera
-        numbers, kind = jax.tree.flatten((camera.focal, camera.center, camera.lens))
-        key = (kind, camera.width, camera.height, *(np.asarray(number).tobytes() for number in numbers))
-        pixel = 1 / np.mean(np.asarray(camera.focal, np.float64))
-        lens = np.int32(lenses.setdefault(key, len(lenses)))
-        place = np.asarray(camera.position, np.float32)
-        photo = np.int32(photos.setdefault(view.photo, len(photos)))
-        found.append(Source(photo, lens, np.float32(pixel), place))
-=======
-    """Returns the source of each view. Two photos have the same lens if all but their poses is equal."""
-    lenses = numbers_of_lenses([view.camera for view in views])
-    found = []
-    for index, (view, lens) in enumerate(zip(views, lenses, strict=True)):
+    for view, lens in zip(views, lenses, strict=True):
         pixel = 1 / np.mean(np.asarray(view.camera.focal, np.float64))
         place = np.asarray(view.camera.position, np.float32)
-        found.append(Source(np.int32(index), np.int32(lens), np.float32(pixel), place))
->>>>>>> ee4217a (train --adjust-cameras: bundle adjustment before training also finds focal lengths and distortion)
+        photo = np.int32(photos.setdefault(view.photo, len(photos)))
+        found.append(Source(photo, np.int32(lens), np.float32(pixel), place))
     return found
 
 

@@ -2,9 +2,13 @@
 
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from PIL import Image
 from scipy import ndimage
+
+from splatax.cameras.lenses import Lens, Pinhole
 
 SIZE, FOCAL = (400, 300), 380.0
 EQUIVALENT = FOCAL * np.hypot(36, 24) / np.hypot(*SIZE)  # mm, as EXIF tells it
@@ -25,12 +29,16 @@ def positions() -> np.ndarray:
     return np.column_stack([np.linspace(-1.2, 1.2, COUNT), *rng.uniform(-0.25, 0.25, (2, COUNT))])
 
 
-def photograph(position, paper) -> np.ndarray:
+def photograph(position, paper, lens: Lens = Pinhole()) -> np.ndarray:
     """Walls at z = 6 - 0.8 |x|, papered by x and y."""
     x, y = np.meshgrid(np.arange(SIZE[0]) + 0.5 - SIZE[0] / 2, np.arange(SIZE[1]) + 0.5 - SIZE[1] / 2)
     px, py, pz = position
     angle = np.arctan2(-px, 6)
     x, y, z = x / FOCAL, y / FOCAL, np.ones_like(x)
+    if not isinstance(lens, Pinhole):
+        places = jnp.asarray(np.stack([x, y], axis=-1).reshape(-1, 2), jnp.float32)
+        rays = np.asarray(jax.vmap(lambda place: lens.unproject(place, jnp.float32(1)))(places), np.float64)
+        x, y, z = (rays[:, axis].reshape(x.shape) / rays[:, 2].reshape(x.shape) for axis in range(3))
     x, z = x * np.cos(angle) + z * np.sin(angle), z * np.cos(angle) - x * np.sin(angle)
     hits = [(6 - pz - sign * 0.8 * px) / (z + sign * 0.8 * x) for sign in (1, -1)]
     depth = np.minimum(*(np.where(hit > 0, hit, np.inf) for hit in hits))

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import jax
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
@@ -18,6 +19,7 @@ from splatax.errors import FormatError
 from splatax.inspection.decisions import Findings
 from splatax.io.datasets.points import read_points, write_points
 from splatax.reconstruction.bundle import Adjustment
+from splatax.reconstruction.calibration import Correction, corrected
 
 FOUND = PointCloud(np.tile(POINTS + [0, 0, 5], (4, 1)).astype(np.float32), np.full((120, 3), 0.2, np.float32))
 
@@ -171,58 +173,86 @@ def test_version_is_printed(capsys):
     assert capsys.readouterr().out == f"splatax {sx.__version__}\n"
 
 
-def adjusted_to(monkeypatch, helps):
-    """Bundle adjustment finds all training cameras a little to the right, which helps or does not."""
+FOUND_LENS = Correction((1.02, 1.02), "RADIAL", (-0.1, 0.02))
 
-    def found(views, **_):
+
+def adjusted_to(monkeypatch, helps):
+    """Bundle adjustment finds training cameras a little to the right and their lens, or does not help."""
+
+    def found(views, free, **_):
         shift = np.eye(4, dtype=np.float32)
         shift[0, 3] = 0.01
         moved = tuple(
             replace(v, camera=replace(v.camera, cam_from_world=shift @ v.camera.cam_from_world))
             for v in views
         )
-        return Adjustment(moved if helps else tuple(views), 0.9, 0.4 if helps else 0.95, 0.31, 2000)
+        lenses = {v.name: FOUND_LENS for v in views} if free == "poses+lens" else {}
+        if not helps:
+            return Adjustment(tuple(views), tuple(views), {}, 0.9, 0.95, 0.31, 2000)
+        return Adjustment(tuple(views), corrected(moved, lenses), lenses, 0.9, 0.4, 0.31, 2000)
 
-    monkeypatch.setattr(preparing.bundle, "adjusted_poses", found)
+    monkeypatch.setattr(preparing.bundle, "adjusted_cameras", found)
 
 
-def test_adjusted_poses_are_trained_on_said_and_kept_for_repeating(tmp_path, monkeypatch, capsys):
+def test_adjusted_cameras_are_trained_on_said_and_kept_for_repeating(tmp_path, monkeypatch, capsys):
     adjusted_to(monkeypatch, helps=True)
     capture, run = write_capture(tmp_path / "capture"), tmp_path / "run"
-    settings, dataset = prepared(capture, tmp_path / "out", adjust_poses=True)
+    settings, dataset = prepared(capture, tmp_path / "out", adjust_cameras="poses+lens")
     given = preparing.loaded(Settings(capture))
-    assert settings.poses == tmp_path / "out" / "poses.json"
-    assert "reprojection error 0.90 to 0.40 px" in capsys.readouterr().out
+    assert settings.cameras == tmp_path / "out" / "cameras.json"
+    said = capsys.readouterr().out
+    assert "reprojection error 0.90 to 0.40 px" in said
+    assert "focal length times 1.0200, RADIAL -0.1 0.02" in said
     again = preparing.loaded(settings)  # as a resumed run does
-    for ours, theirs, before in zip(dataset.train, again.train, given.train, strict=True):
-        assert_array_equal(ours.camera.cam_from_world, theirs.camera.cam_from_world)
+    for ours, theirs, before in zip(dataset.views, again.views, given.views, strict=True):
+        for a, b in zip(jax.tree.leaves(ours.camera), jax.tree.leaves(theirs.camera), strict=True):
+            assert_array_equal(a, b)
+        assert_array_equal(ours.camera.lens.radials[:2], np.float32([-0.1, 0.02]))  # held out: the same lens
+        assert_array_equal(ours.camera.fx, np.float32(np.float64(before.camera.fx) * 1.02))
+    for ours, before in zip(dataset.train, given.train, strict=True):
         assert not np.array_equal(ours.camera.cam_from_world, before.camera.cam_from_world)
-    for ours, before in zip(again.test, given.test, strict=True):  # held out: no part in it
+    for ours, before in zip(dataset.test, given.test, strict=True):  # held out: no part in it
         assert_array_equal(ours.camera.cam_from_world, before.camera.cam_from_world)
+    small, given_small = (preparing.loaded(s, downscale=2) for s in (settings, Settings(capture)))
+    for ours, before in zip(small.views, given_small.views, strict=True):
+        assert_array_equal(ours.camera.fx, np.float32(np.float64(before.camera.fx) * 1.02))
 
-    options = ["--out", str(run), "--steps", "2", "--adjust-poses"]
+    options = ["--out", str(run), "--steps", "2", "--adjust-cameras", "poses+lens"]
     cli.main(["train", str(capture), *options])
-    adjusted = json.loads((run / "metrics.json").read_text())["adjusted_poses"]
-    assert len(adjusted["views"]) == len(given.test)
+    metrics = json.loads((run / "metrics.json").read_text())
+    assert len(metrics["adjusted_poses"]["views"]) == len(given.test)
     assert "with poses adjusted to these photos" in (run / "report.html").read_text()
-    monkeypatch.setattr(preparing.bundle, "adjusted_poses", None)  # not asked again
+    monkeypatch.setattr(preparing.bundle, "adjusted_cameras", None)  # not asked again
     cli.main(["train", "--repeat", str(run), "--out", str(tmp_path / "again")])
     assert (tmp_path / "again" / "scene.ply").read_bytes() == (run / "scene.ply").read_bytes()
+    cli.main(["eval", str(run), str(capture), "--out", str(tmp_path / "eval.json")])
+    assert json.loads((tmp_path / "eval.json").read_text())["psnr"] == pytest.approx(metrics["test"]["psnr"])
 
 
-def test_given_poses_are_kept_where_adjusting_does_not_help(tmp_path, monkeypatch, capsys):
+def test_given_cameras_are_kept_where_adjusting_does_not_help(tmp_path, monkeypatch, capsys):
     adjusted_to(monkeypatch, helps=False)
-    settings, dataset = prepared(write_capture(tmp_path / "capture"), tmp_path / "out", adjust_poses=True)
-    given = preparing.loaded(Settings(tmp_path / "capture"))
-    assert settings.poses is None
-    assert not (tmp_path / "out" / "poses.json").exists()
-    assert "given poses kept, as adjusting them does not help" in capsys.readouterr().out
+    capture = write_capture(tmp_path / "capture")
+    settings, dataset = prepared(capture, tmp_path / "out", adjust_cameras="poses+lens")
+    given = preparing.loaded(Settings(capture))
+    assert settings.cameras is None
+    assert not (tmp_path / "out" / "cameras.json").exists()
+    assert "given cameras kept, as adjusting them does not help" in capsys.readouterr().out
     for ours, before in zip(dataset.train, given.train, strict=True):
         assert_array_equal(ours.camera.cam_from_world, before.camera.cam_from_world)
 
 
-def test_a_damaged_file_of_poses_is_refused(tmp_path):
-    capture, path = write_capture(tmp_path / "capture"), tmp_path / "poses.json"
-    path.write_text('{"photo00.png": [[1, 0], [0, 1]]}')
-    with pytest.raises(FormatError, match=r"poses\.json: damaged"):
-        preparing.loaded(Settings(capture, poses=path))
+@pytest.mark.parametrize(
+    "damage",
+    [
+        '{"photo00.png": [[1, 0], [0, 1]]}',
+        '{"poses": {"photo01.png": [[1, 0], [0, 1]]}, "lenses": {}}',
+        '{"poses": {}, "lenses": {"photo01.png": {"focal": [1], "model": "RADIAL", "coefficients": []}}}',
+        '{"poses": {}, "lenses": {"photo01.png": {"focal": [1, 1], "model": "NONE", "coefficients": []}}}',
+        '{"poses": {}, "lenses": {"photo01.png": {"focal": [1, 1], "model": "FOV", "coefficients": [NaN]}}}',
+    ],
+)
+def test_a_damaged_file_of_cameras_is_refused(tmp_path, damage):
+    capture, path = write_capture(tmp_path / "capture"), tmp_path / "cameras.json"
+    path.write_text(damage)
+    with pytest.raises(FormatError, match=r"cameras\.json: damaged"):
+        preparing.loaded(Settings(capture, cameras=path))

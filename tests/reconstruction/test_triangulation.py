@@ -8,6 +8,7 @@ import pytest
 
 import corner
 from splatax.cameras import Camera
+from splatax.cameras.lenses import Pinhole
 from splatax.dataset import View
 from splatax.reconstruction import pipeline, triangulated, triangulation
 
@@ -27,15 +28,15 @@ def views():
     return [view(i, position, paper) for i, position in enumerate(corner.positions()[:PHOTOS])]
 
 
-def view(number, position, paper):
+def view(number, position, paper, lens=Pinhole()):
     angle = np.arctan2(-position[0], 6)
     rotation = np.array(
         [[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]], np.float32
     )
     pose = np.eye(4, dtype=np.float32)
     pose[:3, :3], pose[:3, 3] = rotation, -rotation @ position.astype(np.float32)
-    photo = corner.photograph(position, paper).astype(np.uint8)
-    camera = Camera.simple_pinhole(corner.FOCAL, jnp.asarray(pose), *corner.SIZE)
+    photo = corner.photograph(position, paper, lens).astype(np.uint8)
+    camera = replace(Camera.simple_pinhole(corner.FOCAL, jnp.asarray(pose), *corner.SIZE), lens=lens)
     return View(f"{number}.jpg", camera, lambda: photo)
 
 

@@ -3,8 +3,9 @@
 Each is defined here once, for training, camera trajectories, web pages and exports.
 """
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -18,6 +19,17 @@ LEAST_TURN = 1e-6  # least mean squared sine between optical axes for which they
 def positions_of(cameras: Sequence[Camera]) -> Float[np.ndarray, "n 3"]:
     """Returns the optical centres, world units."""
     return np.stack([np.asarray(camera.position, np.float64) for camera in cameras])
+
+
+def numbers_of_lenses(cameras: Sequence[Camera]) -> list[int]:
+    """Returns the number of each camera's lens, from 0. Two have the same if all but their poses is equal."""
+    known: dict[Hashable, int] = {}
+    numbers = []
+    for camera in cameras:
+        leaves, kind = jax.tree.flatten((camera.focal, camera.center, camera.lens))
+        key = (kind, camera.width, camera.height, *(np.asarray(leaf).tobytes() for leaf in leaves))
+        numbers.append(known.setdefault(key, len(known)))
+    return numbers
 
 
 def axes_of(cameras: Sequence[Camera]) -> Float[np.ndarray, "n 3"]:

@@ -81,7 +81,7 @@ class PlanBlocks:
                 say(note)
             settings, dataset = prepared(settings, dataset, self.out)
             settings = replace(
-                settings, background=settings.background or dataset.background, adjust_poses=False
+                settings, background=settings.background or dataset.background, adjust_cameras="none"
             )
             if self.steps is None:
                 settings = with_steps(settings, dataset)
@@ -114,7 +114,7 @@ class PlanBlocks:
                 raise InputError(f"{flag(name)}: at least {least}, not {value}.")
         if self.method.refine not in (None, "none"):
             raise InputError(
-                "--refine: each block would move the cameras in its own way. Use --adjust-poses, which "
+                "--refine: each block would move the cameras in its own way. Use --adjust-cameras, which "
                 "adjusts them once, or leave the option out."
             )
         if self.photos.judged_by:

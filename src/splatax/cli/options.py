@@ -15,6 +15,8 @@ from splatax.cli.output import say
 from splatax.dataset import resplit
 from splatax.errors import InputError
 from splatax.low_pass import LOW_PASSES
+from splatax.reconstruction.calibration import ADJUSTMENTS
+from splatax.runs.cameras import with_cameras
 from splatax.runs.scene_files import scene_at
 from splatax.splits import Every, parse_hold_out
 from splatax.training.appearance import APPEARANCES
@@ -27,6 +29,7 @@ Downscale = Literal["auto"] | int
 BackendName = Literal["auto", *backends.BACKENDS]  # type: ignore[valid-type]
 BackgroundName = Literal[*BACKGROUNDS]  # type: ignore[valid-type]
 AppearanceName = Literal["auto", *APPEARANCES]  # type: ignore[valid-type]
+AdjustmentName = Literal["none", *ADJUSTMENTS]  # type: ignore[valid-type]
 RefinementName = Literal[*CAMERA_REFINEMENTS]  # type: ignore[valid-type]
 LowPassName = Literal[*LOW_PASSES]  # type: ignore[valid-type]
 PhotoWeightsName = Literal["auto", *PHOTO_WEIGHTS]  # type: ignore[valid-type]
@@ -150,7 +153,7 @@ def load_scene(
     hold_out: str | None = None,
     undistort: bool | None = None,
 ) -> sx.Dataset:
-    """Loads a capture, by default with the size, held-out photos and lenses that a model was trained with.
+    """Loads a capture, by default with the size, held-out photos and cameras that a model was trained with.
 
     Raises:
         InputError: if an option makes no sense for the capture.
@@ -168,6 +171,9 @@ def load_scene(
         hold_out=None if rule is None else parsed("hold_out", rule, parse_hold_out),
         undistort=options.get("undistort", bool(options)) if undistort is None else undistort,
     )
+    if model and (adjusted := options.get("cameras")):
+        stored, beside = Path(adjusted), model.path.with_name(Path(adjusted).name)
+        dataset = with_cameras(dataset, stored if stored.exists() else beside)
     unsaid = rule is None and bool(options) and "hold_out" not in options
     return resplit(dataset, OTHER_RULE) if unsaid and dataset.split == str(Every()) else dataset
 

@@ -16,9 +16,10 @@ from splatax.inspection.decisions import Findings, look_first
 from splatax.io.datasets.photos import counted, listed
 from splatax.io.datasets.points import read_points, write_points
 from splatax.reconstruction import bundle, triangulation
+from splatax.reconstruction.calibration import corrected
 from splatax.runs.budget import Expected, duration, measured, plan
+from splatax.runs.cameras import with_cameras, write_cameras
 from splatax.runs.planning import Deadline, Room, gaussians_here, smaller_photos
-from splatax.runs.poses import with_poses, write_poses
 from splatax.splits import Listed, listed_in
 from splatax.training.camera_refinement import check_lenses
 from splatax.training.initialize import Discs, InFrusta, focus_distance
@@ -26,7 +27,7 @@ from splatax.training.recipes import MOST, PRESETS, detail_of, most_for, room_fo
 
 MOST_LEFT_OUT = 0.5  # of the training photos that are left out
 POINTS = "points.ply"  # in the folder of a run that had to find its points
-POSES = "poses.json"  # in the folder of a run that adjusted the poses of its training photos
+CAMERAS = "cameras.json"  # in the folder of a run that adjusted its cameras
 FEWEST_POINTS = 100  # from which triangulated points are a better start than random ones
 
 
@@ -57,9 +58,9 @@ def loaded(settings: Settings, downscale: int | None = None) -> sx.Dataset:
         points = read_points(settings.points)
         note = f"{len(points):,} points from {settings.points.name}"
         dataset = replace(dataset, points=points, notes=(*dataset.notes, note))
-    if settings.poses:
-        dataset = with_poses(dataset, settings.poses)
-        note = f"poses of training photos from {settings.poses.name}"
+    if settings.cameras:
+        dataset = with_cameras(dataset, settings.cameras)
+        note = f"adjusted cameras from {settings.cameras.name}"
         dataset = replace(dataset, notes=(*dataset.notes, note))
     return part_of(dataset, settings.city, settings.block) if settings.city else dataset
 
@@ -67,9 +68,9 @@ def loaded(settings: Settings, downscale: int | None = None) -> sx.Dataset:
 def prepared(settings: Settings, dataset: sx.Dataset, out: Path) -> tuple[Settings, sx.Dataset]:
     """Returns settings and capture after a look at the photos, and prints each decision in one line.
 
-    Adjusts poses if that is asked for, finds points if the capture has none, leaves out photos that harm, and
-    compensates uneven exposure. The
-    settings that are returned record the decisions, so a run that is resumed or repeated takes them over.
+    Adjusts cameras if that is asked for, finds points if the capture has none, leaves out photos that harm,
+    and compensates uneven exposure. The settings that are returned record the decisions, so a run that is
+    resumed or repeated takes them over.
 
     Args:
         settings: of the run; only what they leave open is decided.
@@ -80,8 +81,8 @@ def prepared(settings: Settings, dataset: sx.Dataset, out: Path) -> tuple[Settin
         return settings, dataset  # all is decided for all blocks at once
     if settings.refine != "none":
         check_lenses(settings.refine, dataset.train)
-    if settings.adjust_poses:
-        settings, dataset = with_adjusted_poses(settings, dataset, out)
+    if settings.adjust_cameras != "none":
+        settings, dataset = with_adjusted_cameras(settings, dataset, out)
     if settings.init == "sfm" and not len(dataset.points):
         path = found_points(settings.scene, dataset.train, out, settings.seed)
         if path is None:
@@ -115,22 +116,31 @@ def prepared(settings: Settings, dataset: sx.Dataset, out: Path) -> tuple[Settin
     return settings, dataset
 
 
-def with_adjusted_poses(settings: Settings, dataset: sx.Dataset, out: Path) -> tuple[Settings, sx.Dataset]:
-    """Adjusts the poses of training photos, writes them to OUT/poses.json, and prints what changed.
+def with_adjusted_cameras(settings: Settings, dataset: sx.Dataset, out: Path) -> tuple[Settings, sx.Dataset]:
+    """Adjusts the cameras of training photos, writes them to OUT/cameras.json, and prints what changed.
+
+    Held-out photos get the lenses that were found for training photos, and keep their poses.
 
     Returns:
-        Settings that name the file and the capture with the adjusted poses; both as given where adjusting
+        Settings that name the file and the capture with the adjusted cameras; both as given where adjusting
         does not help.
     """
     with Stages(bundle.STAGES) as stages:
-        outcome = bundle.adjusted_poses(dataset.train, seed=settings.seed, watch=stages.show)
+        outcome = bundle.adjusted_cameras(
+            dataset.train, settings.adjust_cameras, seed=settings.seed, watch=stages.show
+        )
     say(str(outcome))
     if not outcome.helps:
         return settings, dataset
-    write_poses(out / POSES, outcome.views)
-    note = str(outcome)
-    adjusted = replace(dataset, train=outcome.views, notes=(*dataset.notes, note))
-    return replace(settings, poses=out.absolute() / POSES), adjusted
+    held_out = outcome.lenses_of(dataset.test)
+    write_cameras(out / CAMERAS, outcome.views, {**outcome.lenses, **held_out})
+    adjusted = replace(
+        dataset,
+        train=outcome.views,
+        test=corrected(dataset.test, held_out),
+        notes=(*dataset.notes, str(outcome)),
+    )
+    return replace(settings, cameras=out.absolute() / CAMERAS), adjusted
 
 
 def planned(

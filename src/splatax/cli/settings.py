@@ -8,6 +8,7 @@ from typing import Any, Literal, TypeVar
 import splatax as sx
 from splatax.blocks.plan import PLAN, digest_of
 from splatax.cli.options import (
+    AdjustmentName,
     AppearanceName,
     BackendName,
     BackgroundName,
@@ -74,8 +75,8 @@ class Settings:
     low_pass: LowPassName | None = None
     appearance: AppearanceName = "auto"
     refine: RefinementName = "none"
-    adjust_poses: bool = False
-    poses: Path | None = None  # file of adjusted poses, once they are found
+    adjust_cameras: AdjustmentName = "none"
+    cameras: Path | None = None  # file of adjusted cameras, once they are found
     city: Path | None = None  # folder of a plan, for the run of one of its blocks
     block: int = 0
     geometry: bool = False
@@ -120,7 +121,7 @@ class Settings:
             hold_out=hold_out,
             leave_out=self.leave_out if self.leave_out in ("auto", "none") else leave_out,
             points=self.points and self.points.absolute(),
-            poses=self.poses and self.poses.absolute(),
+            cameras=self.cameras and self.cameras.absolute(),
             judged_by=self.judged_by and self.judged_by.absolute(),
             city=self.city and self.city.absolute(),
         )

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import tyro
 
 from splatax.cli.options import (
+    AdjustmentName,
     AppearanceName,
     BackendName,
     BackgroundName,
@@ -121,13 +122,15 @@ class Method:
     compared as they are, and once more after a color correction."""
     refine: Annotated[RefinementName | None, shown_as()] = None
     """Optimize the training cameras: their poses, focal lengths, lenses (focal lengths and distortion), or
-    motion during the exposure (a rolling shutter). Use it only for what is inaccurate; accurate poses gain
-    nothing. Writes the cameras to refined/sparse/0. Cameras of held-out photos stay as given. By default
-    none."""
-    adjust_poses: Annotated[bool, shown_as()] = False
-    """Adjust the poses of training photos to matched features before training (bundle adjustment). The given
-    poses are kept if that does not lower the reprojection error of points kept aside. Held-out photos have no
-    part in it, keep their poses, and are also scored with poses adjusted to them. By default off."""
+    motion during the exposure (a rolling shutter). Use it only for what is inaccurate by a pixel or less;
+    for larger errors of poses and lenses use --adjust-cameras. Writes the cameras to refined/sparse/0.
+    Cameras of held-out photos stay as given. By default none."""
+    adjust_cameras: Annotated[AdjustmentName | None, shown_as()] = None
+    """Adjust the cameras of training photos to matched features before training (bundle adjustment): their
+    poses; also focal lengths with "poses+focal", distortion with "poses+distortion", or both with
+    "poses+lens". The given cameras are kept if that does not lower the reprojection error of points kept
+    aside. Held-out photos have no part in it and keep their poses, but have the lenses found for training
+    photos; they are also scored with poses adjusted to them. By default none."""
     geometry: Annotated[bool, shown_as()] = False
     """Make the Gaussians lie on surfaces, for accurate depth, normals and meshes. Adds penalties on the
     spread of depth along each ray, and on depths that differ from those of the capture's own points or depth

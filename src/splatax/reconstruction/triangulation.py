@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from splatax.cameras.lenses import Orthographic
+from splatax.cameras import Camera
 from splatax.dataset import Pixels, PointCloud, View, mask_of
-from splatax.io.datasets.colmap_writing import model_of_cameras
+from splatax.io.datasets.colmap_writing import colmap_camera, model_of_cameras
 from splatax.packages import required_by
 from splatax.reconstruction import mapping
+from splatax.reconstruction.calibration import known_to_colmap
 from splatax.reconstruction.mapping import Features
 from splatax.reconstruction.pairs import Exhaustive, Pairing, Similar
 from splatax.reconstruction.photos import save
@@ -70,15 +71,23 @@ def triangulated(
 
 def matchable(views: Sequence[View]) -> bool:
     """Returns whether there are enough views, all with lenses that COLMAP has, for `matched`."""
-    parallel = any(isinstance(view.camera.lens, Orthographic) for view in views)
-    return len(views) >= FEWEST_VIEWS and not parallel
+    return len(views) >= FEWEST_VIEWS and all(known_to_colmap(view.camera) for view in views)
 
 
 @contextmanager
 def matched(
-    views: Sequence[View], seed: int, watch: Watch
+    views: Sequence[View],
+    seed: int,
+    watch: Watch,
+    calibrated: "Callable[[Camera], pycolmap.Camera]" = colmap_camera,
 ) -> "Iterator[tuple[pycolmap.Reconstruction, Path]]":
     """Matches features of the views, in a temporary folder that is removed at the end.
+
+    Args:
+        views: for which `matchable` holds.
+        seed: random seed.
+        watch: function that is called with the progress of each stage.
+        calibrated: function that returns COLMAP's camera for one of the views.
 
     Yields:
         A model of the given cameras without points, whose images are numbered from 1 in the order of the
@@ -92,7 +101,7 @@ def matched(
         work = Path(folder)
         names = [f"{number:06}.jpg" for number in range(len(views))]
         masks = write_photos(views, names, work, partial(watch, "reading"))
-        model = model_of_cameras(zip(names, (view.camera for view in views), strict=True))
+        model = model_of_cameras(zip(names, (view.camera for view in views), strict=True), calibrated)
         database = work / DATABASE
         with mapping.opened(database) as empty:
             register(empty, model)

@@ -94,8 +94,8 @@ class Results:
 
     @cached_property
     def adjusted(self) -> AdjustedScores | None:
-        """Scores of the held-out views with adjusted poses; None unless the run changed training poses."""
-        if not (self.dataset.test and (self.refines_cameras or self.options.get("adjust_poses"))):
+        """Scores of the held-out views with adjusted poses; None unless the run changed training cameras."""
+        if not (self.dataset.test and (self.refines_cameras or self.options.get("cameras"))):
             return None
         return evaluate_adjusted(self.shown, self.dataset.test, renderer=self.recipe.renderer)
 

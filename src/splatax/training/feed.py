@@ -2,7 +2,7 @@
 
 import math
 from collections import deque
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import count, islice
@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, UInt8
 
 from splatax.ahead import cores
 from splatax.cameras import Camera
+from splatax.cameras.rig import numbers_of_lenses
 from splatax.dataset import Mask, Pixels, View
 from splatax.gaussians import Gaussians
 from splatax.training.photo_cache import Frame, PhotoCache
@@ -130,18 +131,14 @@ def sources(views: Sequence[View]) -> list[Source]:
 
     Faces of a 360-degree photo are one photo: they share its exposure and the corrections of its pose.
     """
-    lenses: dict[Hashable, int] = {}
+    lenses = numbers_of_lenses([view.camera for view in views])
     photos: dict[str, int] = {}
     found = []
-    for view in views:
-        camera = view.camera
-        numbers, kind = jax.tree.flatten((camera.focal, camera.center, camera.lens))
-        key = (kind, camera.width, camera.height, *(np.asarray(number).tobytes() for number in numbers))
-        pixel = 1 / np.mean(np.asarray(camera.focal, np.float64))
-        lens = np.int32(lenses.setdefault(key, len(lenses)))
-        place = np.asarray(camera.position, np.float32)
+    for view, lens in zip(views, lenses, strict=True):
+        pixel = 1 / np.mean(np.asarray(view.camera.focal, np.float64))
+        place = np.asarray(view.camera.position, np.float32)
         photo = np.int32(photos.setdefault(view.photo, len(photos)))
-        found.append(Source(photo, lens, np.float32(pixel), place))
+        found.append(Source(photo, np.int32(lens), np.float32(pixel), place))
     return found
 
 

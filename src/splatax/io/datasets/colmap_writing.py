@@ -1,6 +1,6 @@
 """Writes cameras and points as a COLMAP model, which `colmap.load` can read."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -38,32 +38,39 @@ def save(folder: Path, views: Iterable[View], points: PointCloud) -> None:
     model.write_binary(place)
 
 
-def model_of_cameras(cameras: Iterable[tuple[str, Camera]]) -> "pycolmap.Reconstruction":
+def colmap_camera(camera: Camera) -> "pycolmap.Camera":
+    """Returns COLMAP's camera; it cannot hold a motion during the exposure."""
+    import pycolmap
+
+    model, numbers = to_colmap(replace(camera, motion=None))
+    return pycolmap.Camera(model=model, width=camera.width, height=camera.height, params=numbers)
+
+
+def model_of_cameras(
+    cameras: Iterable[tuple[str, Camera]],
+    calibrated: "Callable[[Camera], pycolmap.Camera]" = colmap_camera,
+) -> "pycolmap.Reconstruction":
     """Returns a COLMAP model of named cameras, without points.
 
     Images are numbered from 1 in the given order. Cameras with equal intrinsics share one COLMAP camera.
+
+    Args:
+        cameras: with their names.
+        calibrated: function that returns COLMAP's camera for one of them.
     """
     import pycolmap
 
     model = pycolmap.Reconstruction()
     numbers: dict[tuple[float, ...], int] = {}
     for number, (name, camera) in enumerate(cameras, start=1):
-        calibrated = _calibrated(camera)
-        key = (calibrated.model.value, calibrated.width, calibrated.height, *calibrated.params)
+        lens = calibrated(camera)
+        key = (lens.model.value, lens.width, lens.height, *lens.params)
         if key not in numbers:
-            calibrated.camera_id = numbers[key] = len(numbers) + 1
-            model.add_camera_with_trivial_rig(calibrated)
+            lens.camera_id = numbers[key] = len(numbers) + 1
+            model.add_camera_with_trivial_rig(lens)
         image = pycolmap.Image(name=name, camera_id=numbers[key], image_id=number)
         model.add_image_with_trivial_frame(image, _pose(camera))
     return model
-
-
-def _calibrated(camera: Camera) -> "pycolmap.Camera":
-    """Returns COLMAP's camera; it cannot hold a motion during the exposure."""
-    import pycolmap
-
-    model, numbers = to_colmap(replace(camera, motion=None))
-    return pycolmap.Camera(model=model, width=camera.width, height=camera.height, params=numbers)
 
 
 def _pose(camera: Camera) -> "pycolmap.Rigid3d":

@@ -1,0 +1,171 @@
+"""Bundle adjustment of COLMAP's models, by parts."""
+
+import copy
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from splatax.reconstruction.calibration import DISTORTION, FOCAL, Free
+from splatax.reconstruction.similarity import similarity_of_cameras
+from splatax.reconstruction.triangulation import DATABASE
+
+if TYPE_CHECKING:
+    import pycolmap
+
+LOOSE = 12.0  # pixels: reprojection error up to which observations count under the given cameras
+LOOSE_ANGLE = 4.0  # degrees: the same for angles, twice COLMAP's
+FEWEST_OBSERVATIONS = 20  # of a photo, below which it keeps its given pose
+FEWEST_OF_LENS = 100  # observations through a lens, below which it stays as given
+OUTLIER = 1.0  # pixels: scale of Cauchy's loss
+
+
+@dataclass(frozen=True)
+class Part:
+    """Part of a model that was adjusted: the numbers of images whose poses changed, and of cameras."""
+
+    photos: frozenset[int]
+    lenses: frozenset[int]
+
+
+def loosely_triangulated(
+    model: "pycolmap.Reconstruction", work: Path, seed: int
+) -> "pycolmap.Reconstruction":
+    """Returns the model with points whose observations agree with the given poses to several pixels."""
+    import pycolmap
+
+    options = pycolmap.IncrementalPipelineOptions()
+    options.random_seed = options.triangulation.random_seed = seed
+    options.triangulation.ignore_two_view_tracks = False
+    for name in ("create_max_angle_error", "continue_max_angle_error"):
+        setattr(options.triangulation, name, LOOSE_ANGLE)
+    for name in ("complete_max_reproj_error", "merge_max_reproj_error"):
+        setattr(options.triangulation, name, LOOSE)
+    options.mapper.filter_max_reproj_error = LOOSE
+    return pycolmap.triangulate_points(
+        model, work / DATABASE, work / "photos", work / "model", options=options
+    )
+
+
+def without_points(model: "pycolmap.Reconstruction", points: set[int]) -> "pycolmap.Reconstruction":
+    """Returns a copy of a model without some of its points."""
+    left = copy.deepcopy(model)
+    for number in points:
+        left.delete_point3D(number)
+    return left
+
+
+def features_of(model: "pycolmap.Reconstruction", point: int) -> list[tuple[int, int]]:
+    """Returns the observations of a point, as numbers of images and of features in them."""
+    return [(e.image_id, e.point2D_idx) for e in model.point3D(point).track.elements]
+
+
+def adjust(model: "pycolmap.Reconstruction", free: Free) -> Part:
+    """Moves the points of a model, and the cameras with enough observations, so that they agree."""
+    seen = {number: len(image.get_observation_points2D()) for number, image in model.images.items()}
+    through = dict.fromkeys(model.cameras, 0)
+    for number, image in model.images.items():
+        through[image.camera_id] += seen[number]
+    lenses = {
+        number
+        for number, camera in model.cameras.items()
+        if free != "poses" and through[number] >= FEWEST_OF_LENS and not camera.is_spherical()
+    }
+    photos = {number for number, count in seen.items() if count >= FEWEST_OBSERVATIONS}
+    part = Part(frozenset(photos), frozenset(lenses))
+    _solve(model, part, free)
+    return part
+
+
+def _solve(model: "pycolmap.Reconstruction", part: Part, free: Free = "poses") -> None:
+    """Moves the points of a model, and a part of its cameras, so that they agree with the observations."""
+    import pycolmap
+
+    options = pycolmap.BundleAdjustmentOptions()
+    options.print_summary = False
+    options.refine_focal_length, options.refine_extra_params = free in FOCAL, free in DISTORTION
+    options.refine_principal_point = False
+    options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
+    options.ceres.loss_function_scale = OUTLIER
+    options.ceres.solver_options.num_threads = 1  # so that sums have one order
+    config = pycolmap.BundleAdjustmentConfig()
+    for number, image in sorted(model.images.items()):
+        config.add_image(number)
+        if number not in part.photos:
+            config.set_constant_rig_from_world_pose(image.frame_id)
+    for number in model.cameras:
+        if number not in part.lenses:
+            config.set_constant_cam_intrinsics(number)
+    if len(part.photos) == len(model.images):
+        config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    pycolmap.create_default_bundle_adjuster(options, config, model).solve()
+
+
+def _place(model: "pycolmap.Reconstruction", like: "pycolmap.Reconstruction", photos: Iterable[int]) -> None:
+    """Gives images of a model the poses that they have in another one."""
+    for number in photos:
+        image = model.images[number]
+        model.frame(image.frame_id).set_cam_from_world(image.camera_id, like.images[number].cam_from_world())
+
+
+def with_cameras_of(
+    control: "pycolmap.Reconstruction", found: "pycolmap.Reconstruction", part: Part
+) -> "pycolmap.Reconstruction":
+    """Returns a copy of a model with the adjusted part of the cameras of another one."""
+    model = copy.deepcopy(control)
+    _place(model, found, part.photos)
+    for number in part.lenses:
+        model.cameras[number].params = found.cameras[number].params
+    return model
+
+
+def error_of(control: "pycolmap.Reconstruction") -> float:
+    """Returns the median reprojection error of tracks, each with its best point for the cameras, pixels."""
+    model = copy.deepcopy(control)
+    _solve(model, Part(frozenset(), frozenset()))
+    return float(np.median(np.concatenate([_residuals(model, number) for number in sorted(model.images)])))
+
+
+def _residuals(model: "pycolmap.Reconstruction", number: int) -> Float[np.ndarray, " n"]:
+    """Returns the distances between the observations of an image and the places of their points, pixels."""
+    image = model.images[number]
+    seen = [p for p in image.get_observation_points2D() if model.exists_point3D(p.point3D_id)]
+    places = [image.project_point(model.point3D(p.point3D_id).xyz) for p in seen]
+    apart = [
+        np.inf if place is None else np.linalg.norm(place - p.xy)
+        for p, place in zip(seen, places, strict=True)
+    ]
+    return np.array(apart, np.float64)
+
+
+def move_back(model: "pycolmap.Reconstruction", given: "pycolmap.Reconstruction", part: Part) -> None:
+    """Moves, turns and scales a model so that its cameras are, on average, where they were given.
+
+    Images that were not adjusted get exactly their given poses.
+    """
+    import pycolmap
+
+    numbers = sorted(part.photos)
+    ours, theirs = (
+        np.array([m.images[n].cam_from_world().matrix() for n in numbers]).reshape(-1, 3, 4)
+        for m in (model, given)
+    )
+    scale, rotation, translation = similarity_of_cameras(ours, theirs)
+    model.transform(pycolmap.Sim3d(scale, pycolmap.Rotation3d(rotation), translation))
+    _place(model, given, set(model.images) - part.photos)
+
+
+def motion(given: "pycolmap.Reconstruction", found: "pycolmap.Reconstruction", part: Part) -> float:
+    """Returns the median distance by which points move in the photos that observe them, pixels."""
+    apart = []
+    for number in sorted(part.photos):
+        image = given.images[number]
+        points = [given.point3D(p.point3D_id).xyz for p in image.get_observation_points2D()]
+        for point in points:
+            here, there = image.project_point(point), found.images[number].project_point(point)
+            if here is not None and there is not None:
+                apart.append(np.linalg.norm(here - there))
+    return float(np.median(apart)) if apart else 0.0

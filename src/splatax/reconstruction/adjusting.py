@@ -118,7 +118,7 @@ def with_cameras_of(
     model = copy.deepcopy(control)
     _place(model, found, part.photos)
     for number in part.lenses:
-        model.cameras[number].params = found.cameras[number].params
+        model.cameras[number].params = list(found.cameras[number].params)
     return model
 
 

@@ -137,12 +137,12 @@ def adjusted_cameras(
         hidden = {e for n in aside for e in features_of(given, n)}
         part = adjust(found, free)
         for _ in range(0 if free == "poses" else ROUNDS - 1):
-            before = found.compute_num_observations()
+            seen = found.compute_num_observations()
             move_back(found, given, part)
             more = loosely_triangulated(found, work, seed)
             found = without_points(more, {n for n in more.points3D if hidden & set(features_of(more, n))})
             part = adjust(found, free)
-            if found.compute_num_observations() < MORE * before:
+            if found.compute_num_observations() < MORE * seen:
                 break
         move_back(found, given, part)
         observations = found.compute_num_observations()

@@ -6,6 +6,7 @@
 from collections.abc import Hashable, Mapping
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from splatax.backends.protocol import Photometric
@@ -88,11 +89,11 @@ class PhotoWeights(Hashable, Protocol):
         """
         ...
 
-    def of_photo(self, state: Any, photo: Int[Array, ""], progress: Float[Array, ""]) -> Any:
+    def of_photo(self, state: Any, photo: Int[Array, ""] | np.int32, progress: Float[Array, ""]) -> Any:
         """Returns the weight of one photo, given its index: a scalar, or 1.0. Runs under `jit`."""
         ...
 
-    def update(self, state: Any, photo: Int[Array, ""], loss: Float[Array, ""]) -> Any:
+    def update(self, state: Any, photo: Int[Array, ""] | np.int32, loss: Float[Array, ""]) -> Any:
         """Returns the state after a step on one photo. Runs under `jit`.
 
         Args:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from splatax.math.robust import MAD_TO_SIGMA
@@ -23,11 +24,11 @@ class EqualWeights:
         """Returns ones."""
         return jnp.ones(photos)
 
-    def of_photo(self, state: tuple[()], photo: Int[Array, ""], progress: Float[Array, ""]) -> Any:
+    def of_photo(self, state: tuple[()], photo: Int[Array, ""] | np.int32, progress: Float[Array, ""]) -> Any:
         """Returns 1."""
         return 1.0
 
-    def update(self, state: tuple[()], photo: Int[Array, ""], loss: Float[Array, ""]) -> tuple[()]:
+    def update(self, state: tuple[()], photo: Int[Array, ""] | np.int32, loss: Float[Array, ""]) -> tuple[()]:
         """Returns the state unchanged."""
         return state
 
@@ -77,11 +78,13 @@ class RobustWeights:
         judged = state.seen & (progress >= self.since)
         return jnp.where(judged, jnp.exp(-self.power * excess), 1.0)
 
-    def of_photo(self, state: Losses, photo: Int[Array, ""], progress: Float[Array, ""]) -> Float[Array, ""]:
+    def of_photo(
+        self, state: Losses, photo: Int[Array, ""] | np.int32, progress: Float[Array, ""]
+    ) -> Float[Array, ""]:
         """Returns the weight of one photo."""
         return self.of_photos(state, len(state.ratios), progress)[photo]
 
-    def update(self, state: Losses, photo: Int[Array, ""], loss: Float[Array, ""]) -> Losses:
+    def update(self, state: Losses, photo: Int[Array, ""] | np.int32, loss: Float[Array, ""]) -> Losses:
         """Returns the state after a step on one photo."""
         level, steps = jnp.log(jnp.maximum(loss, 1e-12)), state.steps + 1
         rate = 1.0 / jnp.minimum(steps, len(state.ratios)).astype(jnp.float32)

@@ -276,11 +276,8 @@ def _blended(
             none = jnp.zeros((*median.shape, 0))
             found = Selection(none.astype(jnp.int32), none.astype(blended.dtype), median)
             return dict(zip(channels, jnp.split(blended, widths[:-1], axis=2), strict=True)), alpha, found
-    sums: Named = {}
-    alpha = selection = None
-    if stacked is not None:
-        blended, alpha = composite(painted.splats, stacked, backend=kernels)
-        sums = dict(zip(channels, jnp.split(blended, widths[:-1], axis=2), strict=True))
-    if counts:
-        selection = select(view.splats, max(counts), backend=kernels)
-    return sums, alpha, selection
+    selection = select(view.splats, max(counts), backend=kernels) if counts else None
+    if stacked is None:
+        return {}, None, selection
+    blended, alpha = composite(painted.splats, stacked, backend=kernels)
+    return dict(zip(channels, jnp.split(blended, widths[:-1], axis=2), strict=True)), alpha, selection

@@ -162,13 +162,14 @@ class RigCommand:
         behind = settings.background or dataset.background
         if behind:
             recipe = replace(recipe, drawing=replace(recipe.drawing, background=BACKGROUNDS[behind]))
-        start: tuple[Gaussians, Rig] | RigRun = covering(body, max(most // 2, 1), seed=settings.seed)
+        covered = covering(body, max(most // 2, 1), seed=settings.seed)
+        start: tuple[Gaussians, Rig] | RigRun = covered
         about = facts({**asdict(settings), "command": COMMAND}, recipe, dataset)
         about["capture"] |= {"skeleton": digest_of(settings.skeleton)}
         if settings.poses.endswith(".json"):
             about["capture"] |= {"poses": digest_of(Path(settings.poses))}
         if earlier is not None:
-            start = resumed(earlier, about, recipe, start[1], len(posing.poses))
+            start = resumed(earlier, about, recipe, covered[1], len(posing.poses))
         with claimed_for_run(out, self.overwrite or earlier is not None):
             every, steps = settings.checkpoint_every, settings.checkpoint_steps
             path = earlier.path if earlier else None

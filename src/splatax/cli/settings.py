@@ -201,4 +201,4 @@ def as_started(kind: type[Kind], stored: Mapping[str, Any], given: Mapping[str, 
                 f"{flag(name)} {value}: the run was started with {getattr(settings, name)}, and goes on with "
                 "that. Leave the option out, or start a new run."
             )
-    return replace(settings, **given)
+    return replace(settings, **given)  # type: ignore[type-var]

@@ -217,7 +217,7 @@ def state_shapes(rows: int, rig: Rig, recipe: Recipe, poses: int) -> RigState:
 
     return jax.eval_shape(
         first,
-        Gaussians(**shapes),
+        Gaussians(**shapes),  # type: ignore[arg-type]
         jax.ShapeDtypeStruct((rows, following), jnp.int32),
         jax.ShapeDtypeStruct((rows, following), jnp.float32),
     )

@@ -27,7 +27,8 @@ from splatax.scene.rigged import RiggedScene
 from splatax.scene.skeleton import Pose, Skeleton
 from splatax.scene.skin import skin
 from splatax.training.posing import Search, pose_search
-from splatax.training.rigged import Learned, optimize_rig, recipe_for
+from splatax.training.rigged import optimize_rig, recipe_for
+from splatax.training.rigged_step import Learned
 
 DATA = Path(os.environ.get("SPLATAX_DATA", Path(__file__).parents[2] / "shared" / "data")) / "rigs"
 FINGERS = ("thumb", "index-finger", "middle-finger", "ring-finger", "pinky-finger")

@@ -15,7 +15,8 @@ from splatax.metrics import to_8bit
 from splatax.scene.binding import bind, covering
 from splatax.scene.rigged import RiggedScene
 from splatax.training.posing import Search, fit_pose
-from splatax.training.rigged import Learned, optimize_rig, recipe_for
+from splatax.training.rigged import optimize_rig, recipe_for
+from splatax.training.rigged_step import Learned
 
 BODY = drawn_arm()
 SIZE = 32

@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import is_dataclass
 from functools import cache
-from typing import Annotated, get_type_hints
+from typing import Annotated, get_args, get_type_hints
 
 import docstring_parser
 import tyro
@@ -28,10 +28,11 @@ def in_paragraphs(options: type) -> None:
 
 
 def groups_of(options: type) -> Iterator[type]:
-    """Yields the classes of the groups in the options of a command."""
+    """Yields the classes of the groups in the options of a command, and of its own commands."""
     for hint in get_type_hints(options).values():
-        if isinstance(hint, type) and is_dataclass(hint):
-            yield hint
+        for kind in (hint, *get_args(hint)):
+            if isinstance(kind, type) and is_dataclass(kind):
+                yield kind
 
 
 def reflowed(text: str) -> str:

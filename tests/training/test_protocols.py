@@ -138,8 +138,25 @@ class Near:
     def outputs(self):
         return {"distance": sx.outputs.OUTPUTS["distance"]}
 
-    def __call__(self, images, camera, landmarks, progress):
+    def __call__(self, images, seen):
         return 0.1 * jnp.mean(jnp.square(images["distance"] - 4))
+
+
+@dataclass(frozen=True)
+class FirstPhotoTwice:
+    """Counts the first photo twice."""
+
+    def init(self, photos):
+        return ()
+
+    def of_photos(self, state, photos, progress):
+        return jnp.ones(photos).at[0].set(2)
+
+    def of_photo(self, state, photo, progress):
+        return jnp.where(photo == 0, 2.0, 1.0)
+
+    def update(self, state, photo, loss):
+        return state
 
 
 @dataclass(frozen=True)
@@ -171,6 +188,7 @@ PARTS = {
     "loss": (protocols.Loss, SquaredError()),
     "prior": (protocols.Prior, SmallHarmonics()),
     "geometry": (protocols.Geometry, Near()),
+    "weights": (protocols.PhotoWeights, FirstPhotoTwice()),
     "density": (protocols.DensityStrategy, DropFaintest()),
     "appearance": (protocols.Appearance, Gain()),
     "camera_refinement": (protocols.CameraRefinement, Shift()),
@@ -184,7 +202,7 @@ RECIPE = sx.Recipe(steps=8, sh=ShSchedule(1, 2))
 
 
 def with_part(recipe, name, part):
-    if name in ("loss", "prior", "geometry"):
+    if name in ("loss", "prior", "geometry", "weights"):
         return replace(recipe, objective=replace(recipe.objective, **{name: part}))
     if name in ("rule", "reach", "noise"):
         return replace(recipe, optimizer=replace(recipe.optimizer, **{name: part}))

@@ -89,8 +89,9 @@ def test_rates_are_raised_for_short_runs_and_never_fall_below_the_authors():
 
 def test_room_grows_with_pixels_and_with_the_root_of_the_number_of_photos():
     def photos(count, size):
-        view = sx.View("a", camera_at(size=size), lambda: None)
-        return sx.Dataset((view,) * count, (), sx.PointCloud(*[np.zeros((0, 3), np.float32)] * 2))
+        camera = camera_at(size=size)
+        views = tuple(sx.View(str(number), camera, lambda: None) for number in range(count))
+        return sx.Dataset(views, (), sx.PointCloud(*[np.zeros((0, 3), np.float32)] * 2))
 
     assert room_for(photos(1, (400, 200))) == 10_000
     assert_allclose(room_for(photos(9, (400, 200))), 30_000, atol=1)

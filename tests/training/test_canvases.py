@@ -179,7 +179,7 @@ def compilations():
         jax.monitoring.unregister_event_duration_listener(listen)
 
 
-@pytest.mark.parametrize("stages", [(), ((25, 2),)])
+@pytest.mark.parametrize("stages", [(), pytest.param(((25, 2),), marks=pytest.mark.slow)])
 def test_a_capture_of_fifty_sizes_compiles_at_most_four_programs(stages):
     dataset = of_many_sizes(50)
     sizes = {(view.camera.width, view.camera.height) for view in dataset.train}

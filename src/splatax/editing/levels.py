@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
+from scipy.special import expit
 
 from splatax.gaussians import Gaussians
 
@@ -50,14 +51,25 @@ def coarser(gaussians: Gaussians, count: int) -> Gaussians:
 def _weights(gaussians: Gaussians) -> Float[np.ndarray, " n"]:
     """Returns opacity times area of the largest cross section: about what a Gaussian adds to pictures."""
     two_largest = np.sort(np.asarray(gaussians.log_scales, np.float64), axis=1)[:, 1:].sum(axis=1)
-    return np.asarray(gaussians.opacities, np.float64) * np.exp(np.minimum(two_largest, 80)) + 1e-30
+    return (
+        expit(np.asarray(gaussians.opacity_logits, np.float64)) * np.exp(np.minimum(two_largest, 80)) + 1e-30
+    )
+
+
+def _covariances(gaussians: Gaussians) -> Float[np.ndarray, "n 3 3"]:
+    """Returns covariances by NumPy: JAX would compile a program for each round, as each has fewer rows."""
+    quats = np.asarray(gaussians.quats, np.float64)
+    quats = np.where(quats.any(axis=1, keepdims=True), quats, [1.0, 0, 0, 0])
+    turned = Rotation.from_quat(quats, scalar_first=True).as_matrix()
+    factors = turned * np.exp(np.asarray(gaussians.log_scales, np.float64))[:, None]
+    return factors @ factors.swapaxes(1, 2)
 
 
 def _pairs(gaussians: Gaussians, most: int) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
     """Returns the rows of disjoint pairs, at most so many: neighbours that are each other's best partner."""
     means = np.asarray(gaussians.means, np.float64)
     size = np.exp(np.minimum(np.asarray(gaussians.log_scales, np.float64), 40)).max(axis=1)
-    colors = np.asarray(gaussians.sh[:, 0], np.float64)
+    colors = np.asarray(gaussians.sh)[:, 0].astype(np.float64)
     weights = _weights(gaussians)
     others = min(NEIGHBOURS, len(means) - 1)
     _, near = cKDTree(means).query(means, k=others + 1)
@@ -84,9 +96,9 @@ def _merged(gaussians: Gaussians, first: Int[np.ndarray, " p"], second: Int[np.n
         by = share.reshape(-1, *[1] * (values.ndim - 1))
         return by * values[first] + (1 - by) * values[second]
 
-    means, covariances = (np.asarray(each, np.float64) for each in (gaussians.means, gaussians.covariances))
+    means = np.asarray(gaussians.means, np.float64)
     middle = mean(means)
-    covariance = mean(covariances)
+    covariance = mean(_covariances(gaussians))
     for rows, by in ((first, share), (second, 1 - share)):
         away = means[rows] - middle
         covariance += by[..., None] * away[:, :, None] * away[:, None, :]

@@ -375,10 +375,10 @@ def whole(capture, environment, tmp_path_factory):
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="needs signals of POSIX")
-def test_killed_at_twenty_random_instants(capture, environment, whole, tmp_path):
+def test_killed_at_random_instants(capture, environment, whole, tmp_path):
     moments, ends = random.Random(0), 0
     run, started = tmp_path / "run", False
-    for _ in range(20):
+    for _ in range(8):
         arguments = ("--resume", run) if started else (capture, "--out", run, *LONG, "--overwrite")
         process = Process(environment, "train", *arguments)
         if process.read_until("step "):
@@ -391,7 +391,7 @@ def test_killed_at_twenty_random_instants(capture, environment, whole, tmp_path)
     if started:
         Process(environment, "train", "--resume", run).succeed()
         assert (run / "scene.ply").read_bytes() == whole
-    assert ends < 10  # else it was rarely killed in time
+    assert ends < 4  # else it was rarely killed in time
 
 
 @pytest.mark.slow

@@ -16,19 +16,17 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
+from splatax.math import quaternions
 from splatax.splats import MIN_ALPHA, Splats
 
 LEAST_LOG_SCALE = -60.0  # a size that float32 can hold
 FLATTEST = -12.0  # log of the ratio of two scales below which flatter Gaussians are treated alike
 STEEPEST = 2.0  # standard deviations of inverse depth for one of the drawn ellipse
 FARTHEST = 0.9  # fraction of the inverse depth that a plane may lose or gain inside the drawn ellipse
-
-
-Vector = tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]
 
 
 class Planes(NamedTuple):
@@ -67,98 +65,47 @@ def planes(gaussians: Gaussians, camera: Camera, splats: Splats) -> Planes:
     shown = jnp.all(splats.extents > 0, axis=1)
     ahead = camera.position + camera.rotation[2]  # what every lens sees
 
-    def one(shown, mean, quat, log_scale):
+    def one(shown, mean, quat, log_scale, sqrt_conic, opacity, blur):
         mean, quat = jnp.where(shown, mean, ahead), jnp.where(shown, quat, jnp.eye(4, dtype=quat.dtype)[0])
         log_scale = jnp.where(shown, jnp.maximum(log_scale, LEAST_LOG_SCALE), 0)  # -inf is exactly flat
-        return _plane(camera, mean, quat, log_scale)
-
-    def limit(shown, plane, sqrt_conic, opacity, blur):
         opacity = jnp.where(shown, opacity, 1)
         sqrt_conic = jnp.where(shown, sqrt_conic, jnp.array([1, 0, 1], sqrt_conic.dtype))
-        disparity, (x, y), spread = plane
-        factor = _limit(disparity, (x, y), spread, sqrt_conic, opacity, blur)
-        return factor * x, factor * y
+        disparity, slope, normal, axis, spread = _plane(camera, mean, quat, log_scale)
+        limit = _limit(disparity, slope, spread, sqrt_conic, opacity, blur)
+        return disparity, slope * limit, normal, axis
 
     blurs = None if splats.slants is None else 1 / splats.slants[:, 5]
-    inclined, normals, axes = jax.vmap(one)(shown, gaussians.means, gaussians.quats, gaussians.log_scales)
-    # Without barriers, the compiler repeats the whole computation for each number that is stacked below.
-    inclined = jax.lax.optimization_barrier(inclined)
-    slopes = jax.vmap(limit)(shown, inclined, splats.sqrt_conics, splats.opacities, blurs)
-    stacked = (jax.lax.optimization_barrier(rows) for rows in (slopes, normals, axes))
-    return Planes(inclined[0], *(jnp.stack(rows, axis=1) for rows in stacked))
+    fields = gaussians.means, gaussians.quats, gaussians.log_scales, splats.sqrt_conics, splats.opacities
+    return Planes(*jax.vmap(one)(shown, *fields, blurs))
 
 
 def _plane(camera: Camera, mean: Float[Array, "3"], quat: Float[Array, "4"], log_scale: Float[Array, "3"]):
-    """Returns one plane with the Gaussian's standard deviation of inverse depth, its normal, and its axis.
-
-    Vectors are tuples of numbers, because CPUs multiply thousands of small matrices slowly.
-    """
+    """Returns one plane, and the Gaussian's standard deviation of inverse depth."""
 
     def seen(point):
         local = camera.to_camera(point)
-        x, y = camera.to_pixel(local)
-        return x, y, 1 / camera.lens.depth(local)
+        place = jnp.append(camera.to_pixel(local), 1 / camera.lens.depth(local))
+        return place, place
 
-    (_, _, disparity), push = jax.linearize(seen, mean)
-    first, second, third = (push(direction) for direction in jnp.eye(3, dtype=mean.dtype))
-    x, y, near = zip(first, second, third, strict=True)
+    across, place = jax.jacfwd(seen, has_aux=True)(mean)
+    x, y, near = across
     # Columns of the inverse of the Jacobian, up to a factor: how the point moves if x, y or nearness grows.
-    along = _cross(y, near), _cross(near, x), _cross(x, y)
-    sign = jnp.sign(_dot(near, along[2]))
-    facing = _times(sign / jnp.sqrt(_dot(along[2], along[2])), along[2])
-    axes, sizes = _axes(quat), tuple(log_scale)
-    least = jax.lax.stop_gradient(jnp.minimum(jnp.minimum(sizes[0], sizes[1]), sizes[2]))
-    turned = [  # a factor of Sigma does not change the plane
-        _times(jnp.exp(2 * jnp.maximum(least - size, FLATTEST)) * _dot(axis, facing), axis)
-        for size, axis in zip(sizes, axes, strict=True)
-    ]
-    normal = _sum(*turned)
-    down = _dot(normal, along[2])
-    slope = -_dot(normal, along[0]) / down, -_dot(normal, along[1]) / down
-    spreads = [_dot(near, axis) * jnp.exp(size) for size, axis in zip(sizes, axes, strict=True)]
-    spread = jnp.sqrt(spreads[0] ** 2 + spreads[1] ** 2 + spreads[2] ** 2)
-    thin = _where(sizes[0] <= least, axes[0], _where(sizes[1] <= least, axes[1], axes[2]))
-    towards = jnp.where(_dot(thin, facing) < 0, -1, 1).astype(mean.dtype)
-    unit_normal = _times(1 / jnp.sqrt(_dot(normal, normal)), normal)
-    return (disparity, slope, spread), unit_normal, _times(towards, thin)
-
-
-def _axes(quat: Float[Array, "4"]) -> tuple[Vector, Vector, Vector]:
-    """Returns the columns of the rotation of a quaternion of any length; zero gives the identity."""
-    w, x, y, z = quat
-    squared = w * w + x * x + y * y + z * z
-    positive = squared > 0
-    f = jnp.where(positive, 2 / jnp.where(positive, squared, 1), 0)
-    return (
-        (1 - f * (y * y + z * z), f * (x * y + w * z), f * (x * z - w * y)),
-        (f * (x * y - w * z), 1 - f * (x * x + z * z), f * (y * z + w * x)),
-        (f * (x * z + w * y), f * (y * z - w * x), 1 - f * (x * x + y * y)),
-    )
-
-
-def _cross(a: Vector, b: Vector) -> Vector:
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-def _dot(a: Vector, b: Vector) -> Float[Array, ""]:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _times(factor: Float[Array, ""], a: Vector) -> Vector:
-    return factor * a[0], factor * a[1], factor * a[2]
-
-
-def _sum(a: Vector, b: Vector, c: Vector) -> Vector:
-    return a[0] + b[0] + c[0], a[1] + b[1] + c[1], a[2] + b[2] + c[2]
-
-
-def _where(mask: Bool[Array, ""], a: Vector, b: Vector) -> Vector:
-    return jnp.where(mask, a[0], b[0]), jnp.where(mask, a[1], b[1]), jnp.where(mask, a[2], b[2])
+    along = jnp.cross(y, near), jnp.cross(near, x), jnp.cross(x, y)
+    facing = along[2] * jnp.sign(jnp.sum(near * along[2])) / jnp.linalg.norm(along[2])
+    axes = quaternions.to_rotation(quat)
+    least = jax.lax.stop_gradient(jnp.min(log_scale))  # a factor of Sigma does not change the plane
+    precision = jnp.exp(2 * jnp.maximum(least - log_scale, FLATTEST))
+    normal = axes @ (precision * (axes.T @ facing))
+    slope = -jnp.stack([normal @ along[0], normal @ along[1]]) / (normal @ along[2])
+    spread = jnp.linalg.norm((near @ axes) * jnp.exp(log_scale))
+    axis = axes[:, jnp.argmin(log_scale)]
+    axis = jnp.where(axis @ facing < 0, -axis, axis)
+    return place[2], slope, normal / jnp.linalg.norm(normal), axis, spread
 
 
 def _limit(
     disparity: Float[Array, ""],
-    slope: tuple[Float[Array, ""], Float[Array, ""]],
+    slope: Float[Array, "2"],
     spread: Float[Array, ""],
     sqrt_conic: Float[Array, "3"],
     opacity: Float[Array, ""],
@@ -173,7 +120,7 @@ def _limit(
     second = (slope[1] - v * first) / w
     squared = first * first + second * second
     sloped = squared > 0
-    blurred = squared if blur is None else (slope[0] * slope[0] + slope[1] * slope[1]) * blur
+    blurred = squared if blur is None else jnp.sum(slope * slope) * blur
     drawn = jnp.sqrt(jnp.where(sloped, blurred, 1))  # deviation of the plane over the drawn ellipse
     reach = jnp.sqrt(jnp.maximum(2 * jnp.log(jnp.maximum(opacity / MIN_ALPHA, 1)), 1e-6))
     most = jnp.minimum(STEEPEST * spread, FARTHEST * disparity / reach)

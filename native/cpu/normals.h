@@ -30,7 +30,7 @@ inline float logarithm(float x) {
   int32_t bits;
   std::memcpy(&bits, &x, sizeof bits);
   const int32_t exponent = (bits - 0x3f3504f3) >> 23;  // of x over a number in [sqrt(1/2), sqrt(2))
-  bits -= exponent << 23;
+  bits -= exponent * (1 << 23);
   float f;
   std::memcpy(&f, &bits, sizeof f);
   f -= 1;

@@ -15,9 +15,10 @@ from splatax.outputs import over
 from splatax.scene.skeleton import Pose, spun
 from splatax.scene.skin import Rig, skin
 from splatax.stages import composite, project
-from splatax.training import optimizer, per_photo
+from splatax.training import per_photo
 from splatax.training.camera_refinement import FINAL_RATE
 from splatax.training.feed import Batch
+from splatax.training.moving import Pace, Rows, moved
 from splatax.training.per_photo import PerPhoto
 from splatax.training.recipes import Recipe
 from splatax.training.step import filtered, photo_over
@@ -108,30 +109,25 @@ def rig_step(
         given = jax.tree.map(lambda leaf: leaf[pose], settings.poses)
         joints = rig.skeleton.worlds(spun(given, turns.reshape(-1, 3)))
         splats = project(skin(gaussians, rig, joints), batch.camera, low_pass=low_pass, backend=kernels)
-        living = jnp.sum(gaussians.opacity_logits > -jnp.inf)
-        return recipe.density.watch(splats), recipe.objective.prior(gaussians, settings.extent, living)
+        return recipe.density.watch(splats)
 
     def image_loss(splats):
         sums, alpha = composite(splats, splats.colors, backend=kernels)
         return recipe.objective.loss(over(sums, alpha, background), photo, batch.mask, kernels.photometric)
 
     parameters = state.gaussians, state.logits, state.turns.values[pose]
-    (splats, prior), pull_back = jax.vjp(project_view, *parameters)
+    splats, pull_back = jax.vjp(project_view, *parameters)
     loss, d_splats = jax.value_and_grad(image_loss)(splats)
     good = jnp.isfinite(loss)
-    d_gaussians, d_logits, d_turns = jax.tree.map(
-        lambda leaf: jnp.where(good, leaf, 0), pull_back((d_splats, jnp.ones_like(prior)))
-    )
+    d_gaussians, *d_learned = pull_back(d_splats)
+    d_logits, d_turns = (jnp.where(good, leaf, 0) for leaf in d_learned)
     progress = state.step / recipe.steps
-    openings = jnp.asarray(recipe.sh.openings(recipe.steps))
-    d_gaussians = optimizer.without_locked_bands(d_gaussians, progress, openings)
     reach = recipe.optimizer.reach(splats.depths, settings.extent)
-    rates = recipe.optimizer.rates.at(progress, reach, d_gaussians.sh.shape[1])
-    rates = jax.tree.map(lambda leaf: jnp.where(good, leaf, 0), rates)
-    gaussians, opt_state = optimizer.update(
-        state.gaussians, d_gaussians, state.opt_state, rates, recipe.optimizer.rule
-    )
-    gaussians = recipe.optimizer.noise(gaussians, rates.means[:, 0], settings.extent, noise_key)
+    living = jnp.sum(state.gaussians.opacity_logits > -jnp.inf)
+    openings = jnp.asarray(recipe.sh.openings(recipe.steps))
+    rows = Rows(state.gaussians, d_gaussians, state.opt_state, reach)
+    pace = Pace(recipe.optimizer.rates, openings, progress, good, living, settings.extent)
+    gaussians, opt_state = moved(rows, pace, noise_key, recipe)
     fall = jnp.where(good, per_photo.log_linear(1.0, FINAL_RATE, progress), 0)
     logits, weights_state, turns = state.logits, state.weights_state, state.turns
     if learned.weight_rate:

@@ -25,14 +25,14 @@ lint: $(READY)
 	$(BIN)/mypy
 
 # Most of the time goes to XLA's compiler, whose memory is watched too: so it shall do little, and little
-# is remembered of its allocations. What is built for AVX2 is the baseline with wider vectors, and a
+# is remembered of its allocations. Without a number, --parallel compiles all files at once. What is built for AVX2 is the baseline with wider vectors, and a
 # low-pass is but a number there.
 SANITIZED := build/sanitize
 HEADERS := build/headers
 JAXLIB := $(shell sed -n 's/.*"\(jaxlib==[^"]*\)".*/\1/p' pyproject.toml)
 sanitize: $(READY) $(HEADERS)/.ready  ## runs the tests of the native library under the address and undefined-behaviour sanitizers
 	PYTHONPATH=$(abspath $(HEADERS)) cmake -S . -B $(SANITIZED) -DPython_EXECUTABLE=$(abspath $(BIN)/python) -DSPLATAX_SANITIZE=address,undefined
-	cmake --build $(SANITIZED) --parallel $(shell getconf _NPROCESSORS_ONLN)  # without a number, all files at once
+	cmake --build $(SANITIZED) --parallel $(shell getconf _NPROCESSORS_ONLN)
 	LD_PRELOAD="$$($(CXX) -print-file-name=libasan.so) $$($(CXX) -print-file-name=libubsan.so) $$($(CXX) -print-file-name=libstdc++.so)" \
 	  ASAN_OPTIONS=detect_leaks=0:malloc_context_size=1:quarantine_size_mb=16 \
 	  JAX_DISABLE_MOST_OPTIMIZATIONS=1 SPLATAX_NATIVE=$(abspath $(SANITIZED)) \

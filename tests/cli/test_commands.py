@@ -15,6 +15,7 @@ from test_refusals import refused
 import splatax as sx
 from splatax import backends, cli, lpips
 from splatax.cli import render
+from splatax.cli.blocks import PlanBlocks
 from splatax.cli.reconstruct import FindingCameras, Reconstruct
 from splatax.cli.settings import Settings
 from splatax.training.backgrounds import Solid
@@ -202,12 +203,16 @@ def test_bench_times_every_operation_of_every_backend(tmp_path, capsys, monkeypa
     assert Image.open(out / "bench.png").width > 100
 
 
-def test_help_is_wrapped_for_the_terminal_and_not_as_in_its_source(monkeypatch, capsys):
+@pytest.mark.parametrize(
+    ("command", "options"),
+    [(["reconstruct"], (FindingCameras, Reconstruct)), (["blocks", "plan"], (PlanBlocks,))],
+)
+def test_help_is_wrapped_for_the_terminal_and_not_as_in_its_source(monkeypatch, capsys, command, options):
     monkeypatch.setenv("COLUMNS", "500")
     with pytest.raises(SystemExit):
-        cli.main(["reconstruct", "--help"])
+        cli.main([*command, "--help"])
     said = capsys.readouterr().out
-    for option in (FindingCameras, Reconstruct):
+    for option in options:
         for described in docstring_parser.parse_from_object(option).params:
             assert " ".join(described.description.split()) in said
 

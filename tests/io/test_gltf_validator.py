@@ -5,13 +5,13 @@ attributes of the first, as unknown.
 """
 
 import json
-import shutil
 import subprocess
 
 import numpy as np
 import pytest
 
 import splatax as sx
+from npm import installed
 from scenes import random_gaussians
 from splatax.demo.rigged import drawn_arm
 from splatax.io.rigs import save_body, save_rigged
@@ -35,16 +35,7 @@ UNKNOWN = ("'KHR_gaussian_splatting'", "'KHR_node_visibility'")  # extensions th
 @pytest.fixture(scope="module")
 def messages_about(tmp_path_factory):
     """A function that returns what the validator says about a file, as (code, pointer, message)."""
-    folder = tmp_path_factory.mktemp("validator")
-    if shutil.which("npm") is None or shutil.which("node") is None:
-        pytest.skip("the glTF validator needs node and npm")
-    command = ["npm", "install", "--silent", "--no-audit", "--no-fund", "--prefix", str(folder), PACKAGE]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    except subprocess.TimeoutExpired:
-        pytest.skip("npm has no network, so the glTF validator cannot be installed")
-    if done.returncode:
-        pytest.skip(f"npm cannot install {PACKAGE}: {done.stderr[-200:]}")
+    folder = installed(PACKAGE, tmp_path_factory.mktemp("validator"))
 
     def validate(path):
         command = ["node", "-e", PROGRAM, str(path)]

@@ -1,6 +1,5 @@
 """PlayCanvas' splat-transform (npm, MIT) reads what we write as the same scene, and we what it writes."""
 
-import shutil
 import subprocess
 
 import jax
@@ -10,6 +9,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial import cKDTree
 
 import splatax as sx
+from npm import installed
 from scenes import random_gaussians
 from splatax import editing
 from splatax.io import formats
@@ -23,18 +23,9 @@ THEY_WRITE = [".ply", ".compressed.ply", ".spz", ".sog", ".glb"]
 ROUNDED_DOWN = {".sog": 2.0}  # they cut where we round: twice the error
 
 
-def installed(folder, version):
+def converter(folder, version):
     """A function that converts one file to another, by a major version of the package."""
-    if shutil.which("npm") is None or shutil.which("node") is None:
-        pytest.skip("no node")
-    package = f"{PACKAGE}@{version}"
-    command = ["npm", "install", "--silent", "--no-audit", "--no-fund", "--prefix", str(folder), package]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    except subprocess.TimeoutExpired:
-        pytest.skip("npm has no network")
-    if done.returncode:
-        pytest.skip(f"npm cannot install {package}: {done.stderr[-200:]}")
+    installed(f"{PACKAGE}@{version}", folder)
     program = folder / "node_modules" / "@playcanvas" / "splat-transform" / "bin" / "cli.mjs"
 
     def run(source, target, *options, actions=()):
@@ -49,13 +40,13 @@ def installed(folder, version):
 
 @pytest.fixture(scope="module")
 def transform(tmp_path_factory):
-    return installed(tmp_path_factory.mktemp("npm"), 2)
+    return converter(tmp_path_factory.mktemp("npm"), 2)
 
 
 @pytest.fixture(scope="module")
 def streaming(tmp_path_factory):
     """Version 3, the first to read streamed SOG."""
-    return installed(tmp_path_factory.mktemp("npm3"), 3)
+    return converter(tmp_path_factory.mktemp("npm3"), 3)
 
 
 def scene(degree=3):

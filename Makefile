@@ -25,8 +25,8 @@ lint: $(READY)
 	$(BIN)/mypy
 
 # Most of the time goes to XLA's compiler, whose memory is watched too: so it shall do little, and little
-# is remembered of its allocations. Without a number, --parallel compiles all files at once. What is built for AVX2 is the baseline with wider vectors, and a
-# low-pass is but a number there.
+# is remembered of its allocations. What is built for AVX2 is the baseline with wider vectors, and a
+# low-pass is but a number there. Without a number, --parallel would compile all files at once.
 SANITIZED := build/sanitize
 HEADERS := build/headers
 JAXLIB := $(shell sed -n 's/.*"\(jaxlib==[^"]*\)".*/\1/p' pyproject.toml)

@@ -12,7 +12,7 @@ from dataclasses import replace
 parser = argparse.ArgumentParser()
 parser.add_argument("recipe", choices=["default", "classic"])
 parser.add_argument("--devices", type=int, nargs="+", default=[8], help="a run for each number")
-parser.add_argument("--per-photo", action="store_true", help="with exposures and refined poses")
+parser.add_argument("--per-photo", action="store_true", help="with exposures, refined poses and weights")
 parser.add_argument("--geometry", action="store_true", help="with penalties on surfaces")
 parser.add_argument("--bytes", action="store_true", help="print what a step exchanges instead of training")
 parser.add_argument("--resume", action="store_true", help="from half of the run on the devices before")
@@ -41,6 +41,7 @@ from splatax.training.density import Classic  # noqa: E402
 from splatax.training.density.growth import ByStep  # noqa: E402
 from splatax.training.geometry import Surfaces  # noqa: E402
 from splatax.training.loop import first_state  # noqa: E402
+from splatax.training.photo_weights import RobustWeights  # noqa: E402
 from splatax.training.recipes import ShSchedule, with_views  # noqa: E402
 from splatax.training.schedule import Schedule  # noqa: E402
 from splatax.training.steppers import stepper_for  # noqa: E402
@@ -57,7 +58,8 @@ def recipe() -> sx.Recipe:
         density = Classic(every=2, start=1, until=7, pull_threshold=1e-6, max_gaussians=4000)
         made = sx.Recipe(steps=STEPS, density=density)
     if options.per_photo:
-        made = replace(made, appearance=Exposure(), camera_refinement=Poses())
+        weighed = replace(made.objective, weights=RobustWeights(since=0.25, least=1.02, spreads=0.1))
+        made = replace(made, appearance=Exposure(), camera_refinement=Poses(), objective=weighed)
     if options.geometry:
         made = replace(made, objective=replace(made.objective, geometry=Surfaces()))
     return with_views(replace(made.on("cpu"), sh=ShSchedule(1, 2)), VIEWS)

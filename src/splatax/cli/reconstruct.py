@@ -14,7 +14,7 @@ from splatax.cli.output import say
 from splatax.cli.stages import Stages
 from splatax.errors import InputError
 from splatax.io.datasets.photos import counted
-from splatax.reconstruction import Outcome, forecast, pipeline, reconstruct
+from splatax.reconstruction import Outcome, forecast, pipeline, reconstruct, refusals
 from splatax.reconstruction.mapping import Features
 from splatax.reconstruction.pairs import Exhaustive, Pairing, Sequential, Similar
 from splatax.reconstruction.panoramas import Panoramas
@@ -60,8 +60,8 @@ class FindingCameras:
 
     def check(self) -> None:
         """Raises InputError if a value makes no sense."""
-        if self.frames < pipeline.FEWEST:
-            raise InputError(f"--frames: at least {pipeline.FEWEST}, not {self.frames}.")
+        if self.frames < refusals.FEWEST:
+            raise InputError(f"--frames: at least {refusals.FEWEST}, not {self.frames}.")
 
 
 @dataclass(frozen=True)

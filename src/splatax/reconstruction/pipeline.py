@@ -6,10 +6,9 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from splatax.errors import DatasetError, InputError
-from splatax.io.datasets.photos import counted
+from splatax.errors import DatasetError
 from splatax.packages import required_by
-from splatax.reconstruction import diagnosis, mapping
+from splatax.reconstruction import diagnosis, mapping, refusals
 from splatax.reconstruction.mapping import Entry, Features
 from splatax.reconstruction.pairs import Exhaustive, Pairing, Sequential, Similar
 from splatax.reconstruction.panoramas import FACES, SEARCHED, Panoramas, faces_of, size_of_faces
@@ -28,9 +27,7 @@ from splatax.resampling import resize
 
 FEW = 80  # photos up to which every pair is matched
 VERY_FEW = 30  # photos up to which smaller features are used too: 2.5 times the points and 0.5 dB on fern
-FEWEST, LEAST_SHARE = 3, 0.5  # number and fraction of photos that must get a pose
 PANORAMAS = "360 degrees"  # the device of all panoramas, which differ in nothing but size
-WIDE = "They are twice as wide as they are high: if they show 360 degrees, say so."
 STAGES = ("reading", "features", "matches", "poses", "writing")
 Watch = Callable[[str, int, int], None]  # stage, finished parts, all parts
 
@@ -99,70 +96,41 @@ def reconstruct(
     import pycolmap
 
     pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL.value
-    work = out / WORK
+    work, ways = out / WORK, Ways(faces, undistort)
     refuse_overlap(source, out)
     take_back_results(out)
-    if any((out / name).exists() for name in RESULTS):
-        raise InputError(
-            f"{out}: holds a capture. Choose another folder, or remove this one.",
-            options=("out", "overwrite"),
-        )
+    refusals.existing_results(out)
     asked = asdict(features) if features else "auto"
     settings = {"source": str(source.resolve()), "frames": frames, "features": asked, "seed": seed}
     settings |= {"panoramas": panoramas, "faces": faces, "undistort": undistort}
     prepare(work, settings | {"photos": fingerprint(source)})
     found, rejected = gather(source, work, frames, panoramas, partial(watch, "reading"))
-    if undistort and not faces and (around := sum(photo.panorama for photo in found)):
-        raise InputError(
-            f"{source}: {counted(around)} of 360 degrees, which no pinhole camera can show. Cut them into "
-            "faces, or use photos as they are, without undistorting them.",
-            options=("panorama_lens", "undistort"),
-        )
+    refusals.undistorted_panoramas(source, found, ways)
     features = features or features_for(len(found))
     photos, damaged = shrink(found, work / "photos", features.longest_side, partial(watch, "reading"))
     rejected |= damaged
-    count, wide = len(set(photos.values())), sum(photo.wide for photo in set(photos.values()))
-    if count < FEWEST:
-        why = f" ({len(rejected)} cannot be read, such as {next(iter(rejected))})" if rejected else ""
-        raise DatasetError(
-            f"{source}: {counted(count)} to use{why}, but depth needs at least {FEWEST}, better 30 or "
-            "more, from different places."
-        )
-    database = work / "database.db"
-    if not database.exists():
-        (work / "new.db").unlink(missing_ok=True)
-        with mapping.opened(work / "new.db") as empty:
-            mapping.register(empty, moments_of(photos, features))
-        (work / "new.db").replace(database)
+    refusals.too_few(source, photos, rejected)
+    database = register(work, photos, features)
     mapping.extract(database, work / "photos", features, partial(watch, "features"))
-    pairing = pairing or pairing_for(source, len(photos))
-    if mapping.match(database, pairing, seed, partial(watch, "matches")):
+    if mapping.match(database, pairing or pairing_for(source, len(photos)), seed, partial(watch, "matches")):
         shutil.rmtree(work / "models", ignore_errors=True)  # they were made without these pairs
     parts = mapping.place(database, work / "photos", work / "models", seed, partial(watch, "poses"))
     reasons = diagnosis.reasons(database, parts)
     rejected |= diagnosis.by_photo({name: photo.name for name, photo in photos.items()}, reasons)
-    placed = parts[0].num_reg_frames() if parts else 0
-    if placed < max(FEWEST, LEAST_SHARE * count):
-        raise DatasetError(
-            f"{source}: only {placed} of {count} photos fit together; {most_frequent(rejected)}. "
-            f"{WIDE if 2 * wide > count else diagnosis.advice(rejected)}",
-            options=("panoramas all",) if 2 * wide > count else (),
-        )
+    refusals.too_few_placed(source, parts, photos, rejected)
     registered = {photos[parts[0].image(i).name] for i in parts[0].reg_image_ids()}
-    ways = Ways(faces, undistort)
     capture = write_capture(parts[0], photos, work / "capture", partial(watch, "writing"), ways)
     for name in reversed(RESULTS):
         (work / "capture" / name).rename(out / name)
-    outcome = Outcome(
+    shutil.rmtree(work)
+    return Outcome(
         tuple(sorted(photo.name for photo in registered)),
         rejected,
         capture.num_points3D(),
         capture.compute_mean_reprojection_error(),
         sum(photo.panorama for photo in registered),
-        wide,
+        refusals.wide_of(photos),
     )
-    shutil.rmtree(work)
-    return outcome
 
 
 def gather(
@@ -220,6 +188,17 @@ def shrunk_size(photo: Photo, longest_side: int) -> tuple[int, int]:
     return width, height
 
 
+def register(work: Path, photos: dict[str, Photo], features: Features) -> Path:
+    """Returns COLMAP's database of the photos, and makes it unless an interrupted call has."""
+    database = work / "database.db"
+    if not database.exists():
+        (work / "new.db").unlink(missing_ok=True)
+        with mapping.opened(work / "new.db") as empty:
+            mapping.register(empty, moments_of(photos, features))
+        (work / "new.db").replace(database)
+    return database
+
+
 def moments_of(photos: dict[str, Photo], features: Features) -> list[list[Entry]]:
     """Returns the database's entries of each photo, from photos by the names of their pictures."""
     moments: dict[Photo, list[Entry]] = {}
@@ -250,12 +229,3 @@ def pairing_for(source: Path, count: int) -> Pairing:
     if count <= FEW:
         return Exhaustive()
     return Sequential() if is_video(source) else Similar()
-
-
-def most_frequent(rejected: dict[str, str]) -> str:
-    """Describes the most frequent reason, such as "of the others, 7: overlaps with no other photo"."""
-    reasons = list(rejected.values())
-    if not reasons:
-        return "no two show the same from different places"
-    top = max(sorted(set(reasons)), key=reasons.count)
-    return f"of the others, {reasons.count(top)}: {top}"

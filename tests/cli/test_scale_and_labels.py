@@ -110,7 +110,7 @@ def test_label_images_split_a_scene_into_named_parts_and_held_out_ones_measure_i
     cli.main(list(map(str, arguments)))
     said = capsys.readouterr().out
     assert "parts from 2 label images" in said
-    assert float(said.split("1 held-out photos: ")[1].split()[0]) > 0.9
+    assert float(said.split("1 held-out photo: ")[1].split()[0]) > 0.9
     parts = sx.load_scene(out)
     assert {"left", "right"} <= set(parts.names)
     assert len(parts) == len(PLANE)

@@ -27,6 +27,7 @@ from splatax.cli.output import say
 from splatax.errors import InputError
 from splatax.io import label_images
 from splatax.io.datasets import masks
+from splatax.io.datasets.photos import counted
 from splatax.io.memory import machine_memory
 from splatax.io.scenes import save_scene
 
@@ -85,7 +86,7 @@ class Label:
         say(f"{out}: {len(parts.parts)} parts from {len(voting)} label images")
         if testing:
             mean = mean_iou(model.gaussians, labels, count, testing, renderer)
-            say(f"mean intersection over union on {len(testing)} held-out photos: {mean:.3f}")
+            say(f"mean intersection over union on {counted(len(testing), 'held-out photo')}: {mean:.3f}")
 
     def _labelled(self, model: Model) -> tuple[Labelled, Labelled]:
         """Returns the views of training and of test photos that have label images, with the labels."""

@@ -294,7 +294,7 @@ def write(results: Results, checkpoints: Checkpoints) -> None:
         )
     if scores:
         corrected = f" ({scores.corrected_psnr:.2f} dB colour-corrected)" if results.compensates else ""
-        count = f"{len(scores.views)} held-out photos"
+        count = counted(len(scores.views), "held-out photo")
         say(f"test PSNR {scores.psnr:.2f} dB{corrected}, SSIM {scores.ssim:.4f} over {count}")
     say(f"scene   {out / 'scene.ply'}")
     say(f"report  {out / 'report.html'}")

@@ -22,12 +22,14 @@ class Account:
         notes: lines about the capture.
         verdict: what is good and what is bad; None if nothing could be compared.
         map: picture of the cameras from above, as a data URI.
+        pictured: which photos the pictures show, in words.
     """
 
     summary: dict[str, str]
     notes: Sequence[str] = ()
     verdict: Verdict | None = None
     map: str = ""
+    pictured: str = "photos"
 
 
 def report(
@@ -54,6 +56,7 @@ def report(
         notes=account.notes,
         verdict=account.verdict,
         map=account.map,
+        pictured=account.pictured,
         worst=views[0] if views else None,
         best=gallery.best if len(gallery.scores) > 1 else None,
         curves=training_curves(history),

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 
 from splatax.dataset import photos_in
 from splatax.evaluation import Scores, ViewScore
+from splatax.io.datasets.photos import counted
 from splatax.report.gallery import Gallery
 from splatax.report.page import Account, report
 from splatax.report.pictures import animation
@@ -34,7 +35,8 @@ class Pages:
         facts = summary(results, Scores(tuple(gallery.scores)))
         verdict = verdict_of(results.dataset, gallery, trial_of(results), results.doubted)
         picture = places(results.dataset, verdict.matched, verdict.spots) if verdict else ""
-        account = Account(facts, notes(results), verdict, picture)
+        pictured = "held-out photos" if results.dataset.test else "photos that it was trained on"
+        account = Account(facts, notes(results), verdict, picture, pictured)
         page = report(results.title, account, results.history, gallery, gif)
         return {"progress.gif": gif, "report.html": page.encode()}
 
@@ -64,18 +66,18 @@ def measures(results: Results, scores: Scores) -> dict[str, str]:
     """Returns the scores as label and value. Those of photos that were trained on say so, and come last."""
     count, corrected = len(scores.views), {"colour-corrected PSNR": f"{scores.corrected_psnr:.2f} dB"}
     if results.dataset.test:
-        psnr = {f"PSNR of {count} held-out photos": f"{scores.psnr:.2f} dB"}
+        psnr = {f"PSNR of {counted(count, 'held-out photo')}": f"{scores.psnr:.2f} dB"}
         return {
             **(corrected | psnr if results.compensates else psnr | corrected),
             **adjusted_measures(results),
             "SSIM": f"{scores.ssim:.4f}",
             f"worst photo, {scores.worst.name}": f"{scores.worst.psnr:.2f} dB",
         }
-    seen = {f"PSNR of {count} photos that it was trained on": f"{scores.psnr:.2f} dB"}
+    seen = {f"PSNR of {counted(count)} that it was trained on": f"{scores.psnr:.2f} dB"}
     if results.judge is None:
         return seen
     test = results.judge.metrics["test"]
-    unseen = f"of {len(test['views'])} photos that a trial run had not seen"
+    unseen = f"of {counted(len(test['views']))} that a trial run had not seen"
     measured = [
         (f"PSNR {unseen}", psnr_of(test)),
         (f"colour-corrected PSNR {unseen}", test["corrected_psnr"]),

@@ -117,7 +117,7 @@ def _good(psnrs: np.ndarray, scores: Sequence[ViewScore], unseen: bool) -> list[
     kind = "that it had not seen" if unseen else "that it was trained on"
     good, best = int((psnrs >= GOOD).sum()), max(scores, key=lambda score: score.psnr)
     if not good:
-        return [f"The best picture, {best.name}, is {grade(best.psnr)}."]
+        return [f"The best picture of a photo {kind}, {best.name}, is {grade(best.psnr)}."]
     lines = [
         f"{good} of {counted(len(scores))} {kind} {'is' if good == 1 else 'are'} matched well; "
         f"best: {best.name}."

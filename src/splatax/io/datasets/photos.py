@@ -245,9 +245,9 @@ def scaling(factor: float) -> str:
     return "" if factor == 1 else f", shrunk {factor:g} times"
 
 
-def counted(number: int) -> str:
-    """Returns a number of photos in words: "1 photo", "2 photos"."""
-    return f"{number} photo" if number == 1 else f"{number} photos"
+def counted(number: int, thing: str = "photo") -> str:
+    """Returns a number of photos, or of other things, in words: "1 photo", "2 photos"."""
+    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
 
 
 def listed(found: Iterable[str]) -> str:

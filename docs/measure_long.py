@@ -82,6 +82,7 @@ def noise(recipe: Recipe, strength: float) -> Recipe:
 VARIANTS: dict[str, Variant] = {
     "default": lambda r: r,
     "half the Gaussians": lambda r: density(r, max_gaussians=r.density.max_gaussians // 2),
+    "4 x Gaussians": lambda r: density(r, max_gaussians=r.density.max_gaussians * 4),
     "2 x Gaussians": lambda r: density(r, max_gaussians=r.density.max_gaussians * 2),
     "means / 2": lambda r: rates(r, means=0.5, means_final=0.5),
     "means x 2": lambda r: rates(r, means=2, means_final=2),

@@ -3,15 +3,24 @@
 import json
 import re
 import shutil
+from base64 import b64decode
+from dataclasses import replace
+from io import BytesIO
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
+from PIL import Image
 from test_refusals import refused
 
+import splatax as sx
 from captures import write_capture
 from splatax import cli
-from splatax.report.side_by_side import Curve, Lineup, Row, most_different, side_by_side
+from splatax.io.datasets import colmap_writing
+from splatax.reconstruction.panoramas import FACES
+from splatax.report.side_by_side import Curve, Lineup, Row, joined, most_different, side_by_side
+from splatax.splits import Nothing
 
 
 @pytest.fixture
@@ -42,6 +51,50 @@ def test_a_table_and_a_page_show_all_runs(runs, tmp_path, capsys):
     assert page.count("<header>") == 1  # test photo
     assert page.count('src="data:image/jpeg') == 2 * 3
     assert set(re.findall(r'src="(.{5})', page)) == {"data:"}
+
+
+def test_all_faces_of_a_panorama_are_in_its_picture(runs, tmp_path):
+    capture = in_faces(write_capture(tmp_path / "faces", count=6))
+    for run, psnr in zip(runs, (20.0, 30.0), strict=True):
+        change(run / "config.json", lambda config: config["options"].update(scene=str(capture)))
+        views = [{"name": "photo0", "psnr": psnr, "ssim": 0.5, "corrected_psnr": psnr}]
+        change(run / "metrics.json", lambda metrics, views=views: metrics["test"].update(views=views))
+    cli.main(["compare", *map(str, runs)])
+    page = (runs[0].parent / "compare" / "compare.html").read_text()
+    assert "<b>photo0</b>" in page
+    shown = re.findall(r'src="data:image/jpeg;base64,([^"]+)" alt="(?:photo|first|second)"', page)
+    sizes = [Image.open(BytesIO(b64decode(picture))).size for picture in shown]
+    assert sizes == [(3 * 64, 2 * 48)] * 3
+
+
+def in_faces(capture):
+    """Makes the photos of a capture the faces of one panorama, and returns its folder."""
+    dataset = sx.load_dataset(capture, hold_out=Nothing())
+    views = [
+        replace(view, face_of="photo0", camera=replace(view.camera, cam_from_world=turn))
+        for view, turn in zip(dataset.train, turns(), strict=True)
+    ]
+    colmap_writing.save(capture, views, dataset.points)
+    return capture
+
+
+def turns():
+    for face in FACES:
+        yield jnp.eye(4).at[:3, :3].set(jnp.array(face.rotation, jnp.float32))
+
+
+def test_faces_are_joined_in_rows_and_a_single_picture_stays_as_it_is():
+    faces = [np.full((4, 5, 3), value, np.uint8) for value in range(1, 5)]
+    assert joined(faces[:1]) is faces[0]
+    whole = joined(faces)
+    assert whole.shape == (8, 15, 3)
+    assert [whole[row, column, 0] for row, column in ((0, 0), (3, 5), (0, 14), (4, 0), (4, 5))] == [
+        1,
+        2,
+        3,
+        4,
+        0,
+    ]
 
 
 def test_runs_from_before_a_measure_existed_have_it_unknown(runs, tmp_path, capsys):

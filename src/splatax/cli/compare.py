@@ -22,12 +22,12 @@ from splatax.cli.options import (
     shown_as,
 )
 from splatax.cli.output import cell, say, show
-from splatax.dataset import mask_of
+from splatax.dataset import by_photo, mask_of
 from splatax.errors import InputError
 from splatax.evaluation import photo_of, picture
 from splatax.io.files import write_whole
 from splatax.report.gallery import MOST
-from splatax.report.side_by_side import Curve, Lineup, Row, side_by_side
+from splatax.report.side_by_side import Curve, Lineup, Row, joined, side_by_side
 from splatax.runs.budget import duration
 from splatax.runs.claim import claimed
 from splatax.runs.finished import FinishedRun, check_comparable, psnr_of, read_runs
@@ -71,7 +71,7 @@ class Compare:
 
             def drawn(name: str) -> Lineup:
                 progress.advance(task)
-                return lineup(runs, models, views[0][name], backend)
+                return lineup(runs, models, name, views[0][name], backend)
 
             page = side_by_side(names, rows, curves, psnrs, drawn)
         with claimed(out):
@@ -79,8 +79,8 @@ class Compare:
         say(f"compare {out / 'compare.html'}")
 
 
-def views_of(run: FinishedRun, model: Model, scene: Path | None) -> dict[str, sx.View]:
-    """Returns the views that a run was tested on, by name.
+def views_of(run: FinishedRun, model: Model, scene: Path | None) -> dict[str, list[sx.View]]:
+    """Returns the views of the photos that a run was tested on, by name: all faces of a 360-degree photo.
 
     Raises:
         InputError: if the capture is not there, or lacks one of them.
@@ -88,7 +88,8 @@ def views_of(run: FinishedRun, model: Model, scene: Path | None) -> dict[str, sx
     scene = scene or run.scene
     if not scene.exists():
         raise InputError(f"{run.folder}: its capture is no longer at {scene}. Say where it is: --scene.")
-    views = {view.photo: view for view in load_scene(scene, None, model).standpoints}
+    known = load_scene(scene, None, model).views
+    views = by_photo(known, {view.name: view for view in known})
     if missing := sorted(run.test_psnr.keys() - views.keys()):
         raise InputError(
             f"{scene}: no photo {missing[0]}, which {run.folder} was tested on. Give the capture as it was: "
@@ -97,15 +98,15 @@ def views_of(run: FinishedRun, model: Model, scene: Path | None) -> dict[str, sx
     return {name: views[name] for name in run.test_psnr}
 
 
-def check_sizes(runs: Sequence[FinishedRun], views: Sequence[dict[str, sx.View]]) -> None:
+def check_sizes(runs: Sequence[FinishedRun], views: Sequence[dict[str, list[sx.View]]]) -> None:
     """Checks that all runs were measured on photos of one size.
 
     Raises:
         InputError: if not; it says what differs.
     """
     for run, its_views in zip(runs[1:], views[1:], strict=True):
-        for name, view in its_views.items():
-            ours, theirs = view.camera, views[0][name].camera
+        for name, (view, *_) in its_views.items():
+            ours, theirs = view.camera, views[0][name][0].camera
             if (ours.width, ours.height) != (theirs.width, theirs.height):
                 raise InputError(
                     f"{run.folder}: measured on photos of {ours.width} x {ours.height} pixels, but "
@@ -113,25 +114,39 @@ def check_sizes(runs: Sequence[FinishedRun], views: Sequence[dict[str, sx.View]]
                 )
 
 
-def lineup(runs: Sequence[FinishedRun], models: Sequence[Model], view: sx.View, backend: str) -> Lineup:
-    """Returns a test view as each run shows it.
+def lineup(
+    runs: Sequence[FinishedRun], models: Sequence[Model], name: str, views: Sequence[sx.View], backend: str
+) -> Lineup:
+    """Returns a test photo as each run shows it; the faces of a 360-degree photo are joined in one picture.
 
     Raises:
         InputError: if the photo is transparent, and the runs saw it over different backgrounds.
     """
     backgrounds = [background_of(run.options) for run in runs]
-    photo = photo_of(view, backgrounds[0])
+    photos = [photo_of(view, backgrounds[0]) for view in views]
     for run, background in zip(runs, backgrounds, strict=True):
-        if background != backgrounds[0] and np.any(photo_of(view, background) != photo):
-            raise InputError(
-                f"{run.folder}: {view.name}, which is transparent, was evaluated over a different background "
-                f"than in {runs[0].folder}. Use the same --background for both."
-            )
+        for view, photo in zip(views, photos, strict=True):
+            if background != backgrounds[0] and np.any(photo_of(view, background) != photo):
+                raise InputError(
+                    f"{run.folder}: {view.name}, which is transparent, was evaluated over a different "
+                    f"background than in {runs[0].folder}. Use the same --background for both."
+                )
     images = tuple(
-        picture(model.gaussians, view.camera, sx.Renderer(background, backend=backend))
+        joined(
+            [
+                picture(model.gaussians, view.camera, sx.Renderer(background, backend=backend))
+                for view in views
+            ]
+        )
         for model, background in zip(models, backgrounds, strict=True)
     )
-    return Lineup(view.name, photo, images, tuple(run.test_psnr[view.name] for run in runs), mask_of(view))
+    masks = [mask_of(view) for view in views]
+    counts = [
+        np.ones(photo.shape[:2], bool) if mask is None else mask
+        for mask, photo in zip(masks, photos, strict=True)
+    ]
+    mask = None if all(mask is None for mask in masks) else joined(counts)
+    return Lineup(name, joined(photos), images, tuple(run.test_psnr[name] for run in runs), mask)
 
 
 def curve_of(run: FinishedRun) -> Curve:

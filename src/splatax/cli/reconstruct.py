@@ -115,11 +115,14 @@ class Forecasting:
 
     def __init__(self, stages: Stages, source: Path, cameras: FindingCameras):
         self.stages, self.source, self.cameras = stages, source, cameras
+        self._photos = 0
         self._first: tuple[int, float] | None = None
         self._told = False
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         self.stages.show(stage, done, total)
+        if stage == "reading":
+            self._photos = total  # features are found in the faces of 360-degree photos, which are more
         if stage != "features" or self._told:
             return
         if self._first is None:
@@ -128,8 +131,8 @@ class Forecasting:
             self._told = True
             each = (time.monotonic() - self._first[1]) / (done - self._first[0])
             pairing = PAIRINGS[self.cameras.matching] or pipeline.pairing_for(self.source, total)
-            left = duration(forecast.seconds_left(each, done, total, pairing))
-            self.stages.note(f"the cameras of {total:,} photos take about {left} more")
+            left = duration(forecast.seconds_left(each, done, total, pairing, self._photos))
+            self.stages.note(f"the cameras of {self._photos:,} photos take about {left} more")
 
 
 def told(outcome: Outcome) -> list[str]:

@@ -22,14 +22,15 @@ def pairs_of(pairing: Pairing, count: int) -> int:
     return min(every, round(count * (near + MUTUAL * pairing.neighbours)))
 
 
-def seconds_left(feature_seconds: float, found: int, count: int, pairing: Pairing) -> float:
+def seconds_left(feature_seconds: float, found: int, count: int, pairing: Pairing, photos: int) -> float:
     """Returns about how long the rest of a reconstruction takes.
 
     Args:
-        feature_seconds: that finding the features of one photo took.
-        found: photos whose features are found.
-        count: all photos.
+        feature_seconds: that finding the features of one picture took.
+        found: pictures whose features are found.
+        count: all pictures, which are photos and faces of 360-degree photos.
         pairing: selection of pairs to match.
+        photos: all photos.
     """
     matching = PAIR * feature_seconds * pairs_of(pairing, count)
-    return feature_seconds * (count - found) + matching + AFTER * count
+    return feature_seconds * (count - found) + matching + AFTER * photos

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from PIL import Image, ImageDraw
@@ -18,6 +18,9 @@ from splatax.runs.history import Picture
 COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f")
 CROP_SHARE = 1 / 5  # of the shorter side of a picture
 CROP_SHOWN = 360  # pixels that a crop is enlarged to, at least
+COLUMNS = 3  # of the faces of a 360-degree photo in one picture
+
+Shaped = TypeVar("Shaped", bound=np.ndarray)  # pictures or masks
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,10 @@ class Curve:
 
 @dataclass(frozen=True)
 class Lineup:
-    """A test view: its photo, what each run shows from there, and the PSNR of each, dB."""
+    """A test photo, what each run shows from there, and the PSNR of each, dB.
+
+    The pictures of a 360-degree photo have all of its faces, see `joined`.
+    """
 
     name: str
     photo: Picture
@@ -123,6 +129,23 @@ def most_different(images: Sequence[Picture], mask: Mask | None = None) -> tuple
     ]
     top, left = (int(i) for i in np.unravel_index(np.argmax(inside), inside.shape))
     return left, top, left + side, top + side
+
+
+def joined(faces: Sequence[Shaped]) -> Shaped:
+    """Returns the faces of a 360-degree photo, or masks of them, as one picture, in rows of `COLUMNS`.
+
+    A single picture stays as it is. Places without a face, and what lies beside smaller ones, are zero.
+    """
+    if len(faces) == 1:
+        return faces[0]
+    height, width = (max(face.shape[axis] for face in faces) for axis in (0, 1))
+    rows = -(-len(faces) // COLUMNS)
+    whole = np.zeros((rows * height, COLUMNS * width, *faces[0].shape[2:]), faces[0].dtype)
+    for number, face in enumerate(faces):
+        row, column = divmod(number, COLUMNS)
+        top, left = row * height, column * width
+        whole[top : top + face.shape[0], left : left + face.shape[1]] = face
+    return whole
 
 
 def enlarged(picture: Picture, box: tuple[int, int, int, int]) -> Picture:

@@ -31,7 +31,7 @@ class Film:
         seconds: duration.
         depth: whether to show depth, in colors, to the right.
         background: RGB.
-        backend: rasterizer.
+        backend: name of the backend.
     """
 
     path: str | Path

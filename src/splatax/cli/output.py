@@ -82,7 +82,7 @@ class Output:
         os.close(nowhere)
         if not isinstance(error, BrokenPipeError):
             self.failed = True
-            complain(f"standard output: {error.strerror}. The command goes on without it.")
+            complain(f"standard output: {error.strerror}. The command continues without it.")
 
 
 @contextmanager

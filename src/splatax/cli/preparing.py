@@ -110,7 +110,7 @@ def prepared(settings: Settings, dataset: sx.Dataset, out: Path) -> tuple[Settin
         if findings.uneven:
             say(
                 f"exposure differs between photos by {findings.exposure:.2f} stops (standard deviation), so "
-                "it is compensated. Turn that off: --appearance none"
+                "it is compensated for. Turn that off: --appearance none"
             )
         settings = replace(settings, appearance="exposure" if findings.uneven else "none")
     return settings, dataset

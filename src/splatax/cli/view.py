@@ -55,7 +55,7 @@ class View:
     low_pass: LowPassOption = None
     """Anti-aliasing filter. By default the one that the file names."""
     backend: BackendName = "auto"
-    """Rasterizer. If the named one is unavailable, the command fails."""
+    """Rendering backend. If the named one is unavailable, the command fails."""
 
     def run(self) -> None:
         model = read_model(self.model, self.low_pass)

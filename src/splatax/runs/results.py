@@ -249,7 +249,7 @@ def conclude(results: Results, checkpoints: Checkpoints, audience: Audience | No
         if not files(results.out):
             raise InputError(why, options=helps) from error
         raise InputError(
-            f"{why} Training is saved. Resume the run once that is mended: it only writes the results.",
+            f"{why} Training is saved. Resume the run once that is fixed: only the results will be written.",
             options=(*helps, f"resume {results.out}"),
         ) from error
     if not results.history.interrupted:

@@ -135,7 +135,7 @@ class Survey:
 
 @dataclass(frozen=True)
 class Block:
-    """Part of a scene that is trained by itself, among Gaussians that are fixed; see `splatax.blocks`.
+    """Part of a scene that is trained in its own run, among fixed Gaussians; see `splatax.blocks`.
 
     Attributes:
         start: Gaussians from which its training starts.

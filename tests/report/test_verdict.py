@@ -53,7 +53,7 @@ def test_photos_that_counted_little_are_named(dataset):
     doubted = {"view03.png": 0.5, "view11.png": 0.02}
     (complaint,) = verdict_of(dataset, gallery_of(comparisons), doubted=doubted).bad
     assert complaint.what == "view11.png, view03.png do not fit the other photos."
-    assert "with a weight of 0.02" in complaint.why
+    assert "the weight was lowered: to 0.02" in complaint.why
 
 
 def test_the_faces_of_a_panorama_are_judged_as_one_photo(dataset):

@@ -77,7 +77,7 @@ class Create:
 
     def run(self) -> None:
         began = time.monotonic()
-        web.require_viewer()  # before an hour of work, not after it
+        web.require_viewer()  # checked first: the work may take an hour
         self.refuse_what_cannot_be_made()
         with claimed(self.out):
             self.refuse_what_was_made_otherwise()

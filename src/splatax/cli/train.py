@@ -212,9 +212,9 @@ class Train:
                 say(f"stopped at step {history.steps:,}. Resume it: splatax train --resume {out}")
 
     def steps(self, session: Session, start: RunState | None) -> RunState:
-        """Makes the steps of a run with a progress bar, and for those who watch in the browser.
+        """Makes the steps of a run with a progress bar, and shows them in the live viewer if requested.
 
-        Ctrl-C ends training after the step at hand.
+        Ctrl-C ends training after the current step.
 
         Returns:
             The run after its last step.

@@ -84,7 +84,7 @@ def announce(viewer: Viewer, host: str) -> None:
 
 
 class Audience:
-    """Viewers of a scene that is being trained. Without any, `waits` is the only cost.
+    """Browsers that watch a scene while it is trained. Without any, `waits` is the only cost.
 
     Attributes:
         viewer: the server of the live viewer.

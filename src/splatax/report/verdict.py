@@ -34,12 +34,12 @@ class Complaint:
     Attributes:
         what: the fault.
         why: its probable cause, or the measurement that shows it.
-        mend: what to do about it.
+        fix: what to do about it.
     """
 
     what: str
     why: str
-    mend: str
+    fix: str
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def verdict_of(
         *_evenly_poor(psnrs),
         *_number(dataset),
         *(
-            Complaint("There are gaps between the photos.", spot.why, spot.mend)
+            Complaint("There are gaps between the photos.", spot.why, spot.fix)
             for spot in spots[:1]
             if spot.gap
         ),
@@ -200,10 +200,10 @@ def _bad_photos(dataset: Dataset, scores: Sequence[ViewScore], gallery: Gallery)
     for score in worst_first:
         causes.setdefault(_cause(score, known), []).append(score)
     complaints = []
-    for (why, mend), bad in causes.items():
+    for (why, fix), bad in causes.items():
         verb = "is" if len(bad) == 1 else "are"
         complaints.append(
-            Complaint(f"{listed(score.name for score in bad)} {verb} {grade(bad[0].psnr)}.", why, mend)
+            Complaint(f"{listed(score.name for score in bad)} {verb} {grade(bad[0].psnr)}.", why, fix)
         )
     return complaints
 

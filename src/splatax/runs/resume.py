@@ -1,4 +1,4 @@
-"""Resuming a run: its newest checkpoint, and whether everything is as it was."""
+"""Resuming a run: its newest checkpoint, and checks that nothing has changed since."""
 
 import warnings
 from collections.abc import Callable, Iterator, Mapping

@@ -2,9 +2,9 @@
 
     python docs/lens_trials.py FOLDER [TRIAL ...]        prints the scores and writes pictures to FOLDER
 
-The trials are shutter, panorama and distortion, on synthetic captures that the script renders, and fern, which
-needs the capture fern_radial in the folder that the variable SPLATAX_DATA names. Without a name, the trials on
-synthetic captures run.
+The trials are shutter, panorama and distortion, on synthetic captures that the script renders, and fern,
+which needs the capture fern_radial in the folder that the variable SPLATAX_DATA names. Without a name, the
+trials on synthetic captures run.
 """
 
 import os

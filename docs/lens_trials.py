@@ -2,8 +2,9 @@
 
     python docs/lens_trials.py FOLDER [TRIAL ...]        prints the scores and writes pictures to FOLDER
 
-The trials are shutter, panorama and distortion, on captures that are drawn here, and fern, which needs the
-capture fern_radial in the folder that the variable SPLATAX_DATA names. Without a name, the drawn ones run.
+The trials are shutter, panorama and distortion, on synthetic captures that the script renders, and fern,
+which needs the capture fern_radial in the folder that the variable SPLATAX_DATA names. Without a name, the
+trials on synthetic captures run.
 """
 
 import os
@@ -90,7 +91,7 @@ def shutter(out: Path) -> None:
 
 
 def around(out: Path) -> None:
-    """Panoramas from inside the drawn room, trained as they are, scored on panoramas and on pinholes."""
+    """Panoramas from inside the synthetic room, trained as they are, scored on panoramas and on pinholes."""
     room = demo_dataset(scene="room", width=96, height=72)
 
     def turned(view: View) -> View:

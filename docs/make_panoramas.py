@@ -1,4 +1,4 @@
-"""Draws 360-degree photos of the demo's room, and compares two ways to train on them, for capture.md.
+"""Renders 360-degree photos of the synthetic room, and compares two ways to train on them, for capture.md.
 
 python docs/make_panoramas.py draw FOLDER       writes 14 photos with the metadata of a 360-degree camera
 python docs/make_panoramas.py compare           trains on panoramas and on their faces, with the true cameras

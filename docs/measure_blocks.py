@@ -1,6 +1,6 @@
 """Measures blocks against one run: `python docs/measure_blocks.py draw|train|compare|memory ...`.
 
-draw FOLDER                        a drawn city as a capture: 98 photos, each of which shows a part of it
+draw FOLDER                        a synthetic city as a capture: 98 photos, each of which shows a part of it
 train CAPTURE FOLDER N [OPTIONS]   one run and N blocks by the command line, with options of both such as
                                    `--steps 1500 --max-gaussians 24000`
 compare CAPTURE FOLDER [OPTIONS]   scores and memory of both, near the borders of boxes and elsewhere, and a

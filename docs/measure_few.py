@@ -1,7 +1,7 @@
-"""Compares variants of `default` on captures of few photos, scored on training photos that no run has seen.
+"""Compares variants of `default` on captures of few photos, scored on training photos that were held out.
 
 python docs/measure_few.py CAPTURES SEEDS VARIANTS
-    CAPTURES    folders with commas; "demo" is the drawn still life
+    CAPTURES    folders with commas; "demo" is the synthetic still life
     SEEDS       whole numbers with commas
     VARIANTS    names of `VARIANTS` with commas
 

@@ -1,6 +1,6 @@
 """Measures color, depth and labels a second: `python docs/measure_frames.py [SCENE.ply]`.
 
-The scene is the drawn arm with 11,000 Gaussians in 6 parts, whose joints differ in each frame, or a splat
+The scene is the synthetic arm with 11,000 Gaussians in 6 parts, whose joints differ in each frame, or a splat
 file that is cut into 6 slabs of equal size. 32 frames of 128 x 128 pixels are drawn together by `vmap` in one
 compiled program. Times are the best of 5 rounds; CPU time counts all cores, so on a busy machine
 `cores / CPU time` is what an idle one reaches at most.
@@ -32,7 +32,7 @@ ASKED = {
 
 
 def arm() -> tuple[sx.Scene, twins.Frames, sx.Camera]:
-    """Returns the drawn arm, its bodies in different joint configurations, and a camera."""
+    """Returns the synthetic arm, its bodies in different joint configurations, and a camera."""
     model = mujoco.MjModel.from_xml_string(ARM)
     data, rng = mujoco.MjData(model), np.random.default_rng(0)
     scene, found = drawn_twin(model, COUNT), []

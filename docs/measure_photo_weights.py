@@ -1,11 +1,11 @@
-"""Measures what robust weights of photos change, on captures as they are and with two wrong photos.
+"""Measures the effect of robust weights of photos, on captures as they are and with two outliers.
 
 python docs/measure_photo_weights.py CAPTURES STEPS
-    CAPTURES    folders with commas, or names of drawn scenes: demo, room, object, outdoor, thin, glossy
+    CAPTURES    folders with commas, or names of synthetic scenes: demo, room, object, outdoor, thin, glossy
     STEPS       of each run
 
 One training photo is replaced by another one, as if its pose were wrong. In another, a dark disc covers the
-lower half, as a thumb over the lens would. Scores are of the held-out photos, which are right.
+lower half, as a thumb over the lens would. Scores are of the held-out photos, which are unchanged.
 """
 
 import sys

@@ -87,3 +87,29 @@ def test_the_reference_is_what_the_docstrings_say():
 def test_links_to_files_lead_to_files(page):
     targets = re.findall(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)", page.read_text())
     assert [target for target in targets if not (page.parent / target).exists()] == []
+
+
+def anchor_of(heading: str) -> str:
+    """The name that GitHub gives to the place of a heading."""
+    text = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading.strip().lower()).replace("`", "").replace("*", "")
+    return "".join(c for c in text if c.isalnum() or c in " -_").replace(" ", "-")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_to_sections_lead_to_headings(page):
+    missing = []
+    for target, anchor in re.findall(r"\]\(([^)#:\s]*\.md|)#([^)\s]+)\)", page.read_text()):
+        linked = (page.parent / target).read_text() if target else page.read_text()
+        without_code = re.sub(r"```.*?```", "", linked, flags=re.DOTALL)
+        if anchor not in {
+            anchor_of(heading) for heading in re.findall(r"^#+ (.*)$", without_code, re.MULTILINE)
+        }:
+            missing.append(f"{target}#{anchor}")
+    assert missing == []
+
+
+def test_a_link_to_a_section_that_does_not_exist_is_found():
+    assert (
+        anchor_of("Cameras before training: `--adjust-cameras`") == "cameras-before-training---adjust-cameras"
+    )
+    assert anchor_of("One [step](a.md): `training/step.py`") == "one-step-trainingsteppy"

@@ -117,6 +117,6 @@ def test_masks_of_another_size_or_without_any_pixel_are_refused():
 
     with pytest.raises(DatasetError, match=r"a.png: its mask has 32 x 40 pixels, its camera 40 x 32"):
         mask_of(view(np.ones((40, 32), bool)))
-    with pytest.raises(DatasetError, match=r"a.png: its mask is black all over"):
+    with pytest.raises(DatasetError, match=r"a.png: its mask is entirely black"):
         mask_of(view(np.zeros((32, 40), bool)))
     assert mask_of(sx.View("a", camera_at(), lambda: np.zeros((24, 32, 3), np.uint8))) is None

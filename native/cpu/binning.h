@@ -44,7 +44,7 @@ struct Tile {
 
 class Binning {
  public:
-  static constexpr int FEW = 8;  // so many times fewer pairs than there may be in a round are few
+  static constexpr int FEW = 8;  // a round has few pairs if it has this many times fewer than it may have
 
   // Steps 1 and 2. Afterwards `splats` holds the `visible` splats in depth order, in at least one round.
   void collect(const Input& input, Workers& workers, int64_t max_pairs);

@@ -35,7 +35,7 @@ SPLATAX_INLINE Dual<K> operator/(const Dual<K>& a, const Dual<K>& b) {
   return quotient;
 }
 
-// With numbers that do not move.
+// Operations with constants, whose derivatives are zero.
 template <int K>
 SPLATAX_INLINE Dual<K> operator+(const Dual<K>& a, float b) {
   Dual<K> sum = a;

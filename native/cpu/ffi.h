@@ -37,7 +37,7 @@ ffi::Span<const int64_t> dimensions_of(ffi::Result<ffi::Buffer<dtype>>& array) {
 class Batch {
  public:
   Batch() = default;
-  // Of a result that has `rank` axes of its own.
+  // The leading axes of a result that has `rank` axes of its own.
   template <class Array>
   Batch(Array& result, size_t rank) {
     const auto dimensions = dimensions_of(result);

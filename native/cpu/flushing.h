@@ -1,5 +1,5 @@
-// Numbers below 2^-126 count as zero while an object of this class lives. The moments of rows that nobody sees
-// shrink to such numbers, with which processors are slow. Threads differ in what they do with them unless told.
+// Numbers below 2^-126 count as zero while an object of this class lives. The moments of rows that no view shows
+// shrink to such numbers, with which processors are slow. By default, threads differ in how they treat them.
 #pragma once
 
 #include <cstdint>

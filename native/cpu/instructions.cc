@@ -1,4 +1,4 @@
-// Tells which of the libraries the machine can run. Only the baseline library has this function.
+// The fastest of the libraries that the machine can run. Only the baseline library has this function.
 
 extern "C" __attribute__((visibility("default"))) const char* splatax_best_instructions() {
 #if defined(__x86_64__)

@@ -105,7 +105,7 @@ class Mover {
     std::copy_n(means, left, place.means + whole), std::copy_n(squares, left, place.squares + whole);
   }
 
-  // Numbers that rest are not touched: without a gradient and moments, nothing would change.
+  // Numbers whose gradient and moments are zero are not written, because they would not change.
   template <class Prior>
   SPLATAX_INLINE void adam(const Place& place, int at, const float* rates, const float* free, const Prior& prior) const {
     Lanes gradient = broadcast(0);

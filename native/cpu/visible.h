@@ -69,7 +69,7 @@ struct Gathered {
       std::copy_n(from.sh + numbers * row, numbers, sh + numbers * i);
     }
   }
-  // Asks for the rows to be brought into the caches, without waiting for them.
+  // Prefetches the rows into the caches.
   static void prefetch(const Gaussians& from, const int32_t* rows, int count) {
     constexpr size_t LINE = 16;  // floats
     const size_t numbers = 3 * static_cast<size_t>(from.coefficients);

@@ -1,4 +1,4 @@
-// Holds the declarations of native/cuda/host/driver.h against NVIDIA's cuda.h. It is compiled, never run.
+// Compares the declarations of native/cuda/host/driver.h with NVIDIA's cuda.h. It is compiled, but not run.
 #include <cuda.h>
 
 #include <type_traits>

@@ -138,7 +138,7 @@ class Block {
     fiber.done = true;
     for (Barrier* at : {&warps[fiber.thread.x / WARP].barrier, &barrier}) {
       --at->running;
-      open_if_full(*at);  // those who wait do not wait for a thread that has returned
+      open_if_full(*at);  // a barrier does not wait for a thread that has returned
     }
   }
 

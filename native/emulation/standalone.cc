@@ -1,5 +1,5 @@
 // Runs all kernels on small random scenes, without JAX, and prints a hash of each result. For sanitizers, which
-// then know the bounds of every array, and for tests that plant mistakes in the kernels.
+// then know the bounds of every array, and for tests that insert errors into the kernels.
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>

@@ -1,4 +1,4 @@
-"""`python -m splatax`, for where the command is not on the path."""
+"""Entry point of `python -m splatax`, which works where the command is not on the path."""
 
 from splatax.cli import main
 

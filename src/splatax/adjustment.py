@@ -33,7 +33,7 @@ class Adjusted:
 
     Attributes:
         view: the view with its adjusted camera.
-        motion: median distance between the places of the scene's Gaussians in the two pictures, pixels.
+        motion: median distance between the positions of the scene's Gaussians in the two images, pixels.
     """
 
     view: View
@@ -68,7 +68,7 @@ def evaluate_adjusted(
     """Scores a scene as `splatax.evaluate` does, but with the pose of each view adjusted to its own photo.
 
     These scores show how well the scene can look like the photos. They are not scores of new views: each
-    pose has seen its photo. Report them beside the scores with given poses, and name them.
+    pose has seen its photo. Report them beside the scores with given poses, and say which is which.
 
     Args:
         gaussians: the scene. It is not changed.
@@ -90,9 +90,10 @@ def adjusted(
 ) -> tuple[Adjusted, ...]:
     """Finds the pose of each view for which the rendering is most like its photo.
 
-    Each pose depends on the scene and its own photo alone. The search is Levenberg's and Marquardt's, from
-    the given pose, with the exact Jacobian of the rendering. It goes downhill only, so PSNR falls by rounding
-    at most, and errors of more than a few pixels may remain. Masked pixels do not count.
+    Each pose depends only on the scene and its own photo. The search is a Levenberg-Marquardt fit, from the
+    given pose, with the exact Jacobian of the rendering. Each step lowers the squared error, so PSNR does not
+    fall except by rounding. The search is local: errors of more than a few pixels may remain. Masked pixels
+    do not count.
 
     Args:
         gaussians: the scene.
@@ -161,7 +162,7 @@ def _linearized(
 
 
 def _solved(system: Linearized, damping: float) -> Float[np.ndarray, "6"]:
-    """Returns the step of Levenberg and Marquardt, in double precision."""
+    """Returns the Levenberg-Marquardt step, in double precision."""
     curvature, gradient = np.asarray(system.curvature, np.float64), np.asarray(system.gradient, np.float64)
     diagonal = np.diag(curvature)
     damped = curvature + damping * np.diag(np.maximum(diagonal, 1e-12 * max(diagonal.max(), 1e-30)))
@@ -175,7 +176,7 @@ def _moved(camera: Camera, twist: Array | np.ndarray) -> Camera:
 
 
 def picture_motion(gaussians: Gaussians, before: Camera, after: Camera) -> float:
-    """Returns the median distance between the places of Gaussians in two pictures of one size, pixels."""
+    """Returns the median distance between the positions of Gaussians in two images of one size, pixels."""
     means, size = np.asarray(gaussians.means), np.array([before.width, before.height])
     (there, far), (here, near) = (seen_at(camera, means) for camera in (before, after))
     both = (far > 0) & (near > 0)

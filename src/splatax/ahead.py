@@ -1,4 +1,4 @@
-"""Work in threads ahead of the caller, whose results come in the order of its items."""
+"""Work that threads do ahead of the caller, with results in the order of the items."""
 
 import os
 from collections import deque

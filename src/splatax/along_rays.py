@@ -12,14 +12,14 @@ offset d from the image of the mean, where E is the inverse of the lens's Jacobi
 
     g = (BE)^T Bm / |Bm|^2,   H = (BE)^T BE / |Bm|^2 - g g^T .
 
-So Q is the ellipse that the tangent of the lens gives (`footprints.Ewa` without a low-pass), g is how its
-plane slants, and H is its thickness. A flat Gaussian has H = 0 and is a disc: q is then the squared distance
-of the point where the ray meets its plane, as by the homography of Huang et al. 2024, Eq. 10, and the inverse
-depth of this point is (1 + g . d) / z.
+Q is therefore the ellipse of the lens's linear approximation (`footprints.Ewa` without a low-pass), g the
+slant of the Gaussian's plane, and H its thickness. A flat Gaussian has H = 0 and is a disc: q is then the
+squared distance of the point where the ray meets its plane, as by the homography of Huang et al. 2024, Eq.
+10, and the inverse depth of this point is (1 + g . d) / z.
 
 This is exact for pinholes and where rays are parallel. Other lenses, and cameras that move during the
-exposure, are replaced around each mean by the pinhole with their Jacobian there: perspective is exact, and
-the curvature of the lens over one Gaussian is not seen.
+exposure, are replaced around each mean by the pinhole with the same Jacobian: perspective is exact, and the
+curvature of the lens over one Gaussian is ignored.
 """
 
 from dataclasses import replace

@@ -99,7 +99,7 @@ def mask_of(view: View) -> Mask | None:
         raise DatasetError(f"{view.name}: its mask has {width} x {height} pixels, its camera {expected}.")
     if not mask.any():
         raise DatasetError(
-            f"{view.name}: its mask is black all over, so nothing of the photo counts. Repair or delete the "
+            f"{view.name}: its mask is entirely black, so no pixel of the photo counts. Repair or delete the "
             "mask, or remove the photo from the capture."
         )
     return mask
@@ -135,7 +135,7 @@ class Survey:
 
 @dataclass(frozen=True)
 class Block:
-    """Part of a scene that is trained by itself, among Gaussians that are fixed; see `splatax.blocks`.
+    """Part of a scene that is trained in its own run, among fixed Gaussians; see `splatax.blocks`.
 
     Attributes:
         start: Gaussians from which its training starts.

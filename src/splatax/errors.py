@@ -1,4 +1,4 @@
-"""Errors about the user's input. The message says what is wrong, in which file, and the way out."""
+"""Errors about the user's input. The message says what is wrong, in which file, and how to fix it."""
 
 import unicodedata
 
@@ -27,9 +27,9 @@ def is_shown(character: str) -> bool:
 class InputError(ValueError):
     """Bad input from outside. The command line prints it as one sentence and exits with code 2.
 
-    The message is one line of at most `LONGEST_MESSAGE` characters, whatever a file put into it. The library
-    knows no command line, so a message never names an option. Where a parameter of the caller helps, it is
-    named in `options`, and a command that has an option of this name points to it.
+    The message is one line of at most `LONGEST_MESSAGE` characters, also if it quotes a file. The library
+    does not know the command line, so a message never names an option. Where a parameter of the caller helps,
+    it is named in `options`, and a command that has an option of this name points to it.
 
     Attributes:
         options: names of parameters that help, such as "max_gaussians", or with a value, such as

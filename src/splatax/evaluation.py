@@ -35,7 +35,7 @@ class ViewScore:
     """Scores of one view, or of all faces of a 360-degree photo, computed on 8-bit images.
 
     Attributes:
-        name: of the view or the photo.
+        name: name of the view or the photo.
         psnr: dB.
         ssim: at most 1.
         corrected_psnr: dB, after an affine map of the rendering's colours; see `metrics.color_corrected`.

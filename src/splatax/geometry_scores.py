@@ -14,7 +14,7 @@ from splatax.gaussians import Gaussians
 from splatax.rendering import Renderer
 
 DEPTHS = ("median_depth", "surface_depth", "median_surface_depth")  # outputs that are compared
-DEPTH = DEPTHS[0]  # which meshes are made from if nothing tells which is best
+DEPTH = DEPTHS[0]  # which meshes are made from if there is nothing to choose the best by
 NORMALS = "normals"
 ENOUGH = 8  # views from which the best depth is chosen
 HALF = 0.5  # least alpha of a pixel whose depth counts

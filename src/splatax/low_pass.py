@@ -1,6 +1,7 @@
 """Filters that widen the splats of a view, so that none falls between its pixels.
 
-A scene is drawn with the filter that it was trained with: its shapes and opacities have grown used to it.
+A scene is drawn with the filter that it was trained with, because its shapes and opacities were
+optimized with it.
 """
 
 from dataclasses import dataclass

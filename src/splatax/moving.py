@@ -7,7 +7,7 @@ With the gradient g of a number x, its learning rate r, and after t steps:
     x <- x - r (m / (1 - b1^t)) / (sqrt(v / (1 - b2^t)) + eps)
 
 Then quaternions that have changed are normalized, and noise moves the means of faint Gaussians; see `shaken`.
-A number whose gradient and moments are zero rests: nothing of it changes. Each row depends on itself alone.
+A parameter whose gradient and moments are zero does not change. The update of a row depends on no other row.
 """
 
 import math

@@ -1,7 +1,7 @@
 """render = rasterize . project: from a scene and a camera to a picture.
 
-The functions here are the door of the engine. They check shapes and dtypes and resolve the backend once, so
-that kernels get nothing that is malformed.
+The functions here are the public entry points. They check shapes and dtypes and resolve the backend once, so
+that kernels never get malformed arrays.
 """
 
 from collections.abc import Mapping, Sequence

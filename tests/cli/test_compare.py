@@ -117,12 +117,12 @@ def of_another_split(runs, tmp_path):
 
 def of_another_protocol(runs, tmp_path):
     change(runs[1] / "metrics.json", lambda metrics: metrics["protocol"].update(ssim="7x7 windows"))
-    return f"{runs[1]}: measured otherwise than {runs[0]}: ssim is '7x7 windows', there"
+    return f"{runs[1]}: measured differently from {runs[0]}: ssim is '7x7 windows', there"
 
 
 def with_masks(runs, tmp_path):
     change(runs[1] / "metrics.json", lambda metrics: metrics.update(masked_test_views=2))
-    return f"{runs[1]}: measured otherwise than {runs[0]}: number of masks is 2, there 0"
+    return f"{runs[1]}: measured differently from {runs[0]}: number of masks is 2, there 0"
 
 
 def of_another_size(runs, tmp_path):

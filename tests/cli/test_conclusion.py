@@ -127,5 +127,5 @@ def test_create_concludes_a_run_that_was_killed_while_its_results_were_written(
     monkeypatch.setattr(session, "optimize", no_training)
     cli.main(command)
     page_of_run = (tmp_path / "out" / "run" / "report.html").read_text()
-    assert "PSNR of 1 photos that a trial run had not seen" in page_of_run
+    assert "PSNR of 1 photo that a trial run held out" in page_of_run
     assert (tmp_path / "out" / "scene.html").exists()

@@ -38,7 +38,7 @@ def test_all_photos_are_trained_on_and_the_score_is_of_photos_that_a_trial_had_n
     assert run["test"] is None
     assert run["judged_by"]["test"] == trial["test"]
     report = (out / "run" / "report.html").read_text()
-    headline = f"<b>{trial['test']['psnr']:.2f} dB</b><span>PSNR of 1 photo that a trial run had not seen"
+    headline = f"<b>{trial['test']['psnr']:.2f} dB</b><span>PSNR of 1 photo that a trial run held out"
     assert headline in report
     assert report.index(headline) < report.index("PSNR of 9 photos that it was trained on")
     assert "The scene was trained on all 9 photos." in report

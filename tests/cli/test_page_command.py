@@ -74,7 +74,7 @@ def test_options_of_pages_are_refused_for_other_files(trained, tmp_path, capsys)
     with pytest.raises(SystemExit) as exit:
         cli.main(["export", str(trained), str(tmp_path / "a.ply"), "--title", "A"])
     assert exit.value.code == 2
-    assert "--title, --background: of pages alone" in capsys.readouterr().err
+    assert "--title, --background: only for pages" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 

@@ -93,8 +93,8 @@ def test_every_decision_is_said_with_the_option_that_overrides_it(tmp_path, monk
         "left out of training, blurred compared with the rest: photo01.png. Use all photos: --leave-out none",
         "left out of training, the same photo as another: photo02.png (as photo03.png). Use all photos: "
         "--leave-out none",
-        "exposure differs between photos by 0.31 stops (standard deviation), so it is compensated. Turn that "
-        "off: --appearance none",
+        "exposure differs between photos by 0.31 stops (standard deviation), so it is compensated for. Turn "
+        "that off: --appearance none",
     ]
     again = preparing.loaded(settings)  # as a resumed run does
     assert [view.name for view in again.train] == [view.name for view in dataset.train]
@@ -165,7 +165,7 @@ def test_a_run_on_all_photos_does_not_pass_for_a_test(tmp_path):
     assert json.loads((run / "metrics.json").read_text())["test"] is None
     report = (run / "report.html").read_text()
     assert "PSNR of 9 photos that it was trained on" in report
-    assert "trained on all 9 photos, so none of them can tell" in report
+    assert "trained on all 9 photos, so none of them can show" in report
 
 
 def test_version_is_printed(capsys):

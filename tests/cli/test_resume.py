@@ -290,7 +290,7 @@ def test_another_recipe_behind_the_same_options_is_refused(stopped, monkeypatch,
 def test_another_machine_is_said(stopped, monkeypatch, capsys):
     monkeypatch.setattr(resume, "device", lambda: "an abacus")
     go_on(stopped)
-    assert "this is an abacus: the result will be as good, but not the same bit for bit" in " ".join(
+    assert "this is an abacus: the result will be equivalent, but not the same bit for bit" in " ".join(
         capsys.readouterr().err.split()
     )
 

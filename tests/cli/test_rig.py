@@ -152,7 +152,7 @@ def test_a_held_out_photo_whose_mask_is_black_all_over_is_refused_before_trainin
     Image.new("L", (24, 24)).save(capture / "masks" / "pose3-0.png")
     body = ["--skeleton", f"{arm}/body.glb", "--poses", f"{arm}/poses.json"]
     said = refused(capsys, "rig", str(capture), *body, "--out", str(tmp_path / "run"), "--steps", "1")
-    assert "pose3-0.png: its mask is black all over" in said
+    assert "pose3-0.png: its mask is entirely black" in said
     assert not (tmp_path / "run").exists()
 
 

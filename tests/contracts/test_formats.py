@@ -153,7 +153,7 @@ def test_a_scene_is_loaded_with_the_filter_that_it_was_saved_with(tmp_path, suff
         assert sx.load(path).low_pass == low_pass
     else:
         with pytest.warns(
-            UserWarning, match="cannot say that its scene was (trained with antialiasing|drawn along rays)"
+            UserWarning, match="cannot store that the scene was (trained with antialiasing|drawn along rays)"
         ):
             sx.save(path, given)
 

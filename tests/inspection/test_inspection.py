@@ -117,7 +117,9 @@ def test_turning_on_the_spot_is_an_error(tmp_path):
         pose = image.cam_from_world()
         image.frame.rig_from_world = pycolmap.Rigid3d(pose.rotation, np.zeros(3))
     model.write_binary(capture / "sparse" / "0")
-    assert "All photos are from one place, so they tell nothing about depth." in said(capture)
+    assert "All photos were taken from one place, so they contain no information about depth." in said(
+        capture
+    )
 
 
 def test_inverted_masks_are_suspected(capture):

@@ -56,5 +56,5 @@ def test_some_views_may_have_masks_and_others_none():
 
 
 def test_a_mask_that_leaves_nothing_is_refused():
-    with pytest.raises(DatasetError, match=r".png: its mask is black all over"):
+    with pytest.raises(DatasetError, match=r".png: its mask is entirely black"):
         sx.fit(capture(mask=lambda: np.zeros((32, 40), bool)), RECIPE)

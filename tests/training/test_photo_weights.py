@@ -1,4 +1,4 @@
-"""Photos that fit none of the rest count less in training; photos that are only harder than others do not."""
+"""Photos that do not fit the others get a lower weight in training; photos that are only harder do not."""
 
 from dataclasses import replace
 

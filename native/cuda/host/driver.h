@@ -11,8 +11,8 @@ namespace splatax::cuda {
 using Handle = void*;                // context, stream, event, library or kernel of the driver
 using Address = unsigned long long;  // in device memory
 
-// Functions of the driver, as NVIDIA's cuda.h declares them. tests/backends/test_cuda.py holds the types against
-// that header where it is installed.
+// Functions of the driver, as NVIDIA's cuda.h declares them. tests/backends/test_cuda.py compares the types
+// with that header where it is installed.
 struct Driver {
   int (*cuInit)(unsigned);
   int (*cuGetErrorName)(int, const char**);

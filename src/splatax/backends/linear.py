@@ -1,6 +1,6 @@
 """Derivatives in both modes for kernels that JAX cannot differentiate itself.
 
-`jax.custom_vjp` gives up forward mode, and `jax.custom_jvp` needs a tangent that JAX can transpose.
+`jax.custom_vjp` does not support forward mode, and `jax.custom_jvp` needs a tangent that JAX can transpose.
 `linear_call` is such a tangent: a linear map with a transpose of its own. A kernel is differentiable in both
 modes with
 

@@ -160,7 +160,7 @@ def runs_everywhere() -> str | None:
 
 @dataclass(frozen=True)
 class Kernels:
-    """A backend. It is always complete; one that lacks a kernel takes that of the portable backend by name.
+    """A backend: a complete set of kernels. One that lacks a kernel has that of the portable backend.
 
     It is hashable, so it can be a static argument of `jit`. To try a kernel of your own, replace one:
     `replace(backends.resolve("xla"), name="mine", composite=my_composite)`, and pass the result as `backend`.
@@ -175,10 +175,10 @@ class Kernels:
             optimizers of the presets; others go through optax.
         why_unavailable: returns the reason why the kernels cannot run on this machine, or None if they can.
         dtypes: the names of the dtypes that all of the kernels compute in.
-        draw: both halves at once; None if the backend has only the two. It is used while it stands for
-            `project` and `composite`, so that kernels of your own in their place are not passed over.
-        survey: `composite` and `select` at once; None if the backend has only the two. It is used while it
-            stands for them.
+        draw: projection and rasterizer in one kernel; None if the backend has only the two. It is not used
+            if you replace `project` or `composite` by kernels of your own.
+        survey: `composite` and `select` in one kernel; None if the backend has only the two. It is not used
+            if you replace one of them.
     """
 
     name: str

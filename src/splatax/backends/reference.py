@@ -1,4 +1,4 @@
-"""Splatting as the paper says it, pixel by pixel: the oracle that every backend is tested against.
+"""Splatting as the paper defines it, pixel by pixel: the reference that every backend is tested against.
 
     C = sum_i T_i alpha_i c_i,   T_i = prod_{j<i} (1 - alpha_j)         (Kerbl et al. 2023, Eq. 3)
 

@@ -1,1 +1,1 @@
-"""Blocks of a scene that is too large for one run: a plan, runs of single blocks, and their merger."""
+"""Blocks of a scene that is too large for one run: the plan, the runs of single blocks, and their merging."""

@@ -1,4 +1,4 @@
-"""Boxes on the ground plane that share out a scene: every point is in exactly one of them."""
+"""Boxes on the ground plane that divide a scene: every point is in exactly one of them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The merger of trained blocks: each gives what lies inside its box."""
+"""Merging of trained blocks: of each block, the Gaussians inside its box."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The plan of a city: a file of JSON that says what each block is and how it is trained.
+"""The plan of a large capture (a "city"): a JSON file that defines each block and how it is trained.
 
 CITY/blocks.json      the plan
 CITY/context.npy      which Gaussians of the coarse scene surround each block: a bit for each
@@ -32,11 +32,11 @@ class BlockPlan:
     """One block.
 
     Attributes:
-        box: that it fills on the ground plane.
+        box: its box on the ground plane.
         photos: names of its training views.
         held_out: names of the held-out views that show it.
-        gaussians: number that its run may grow to, those in the margin of the box included.
-        steps: of its run.
+        gaussians: largest number of Gaussians of its run, those in the margin of the box included.
+        steps: number of steps of its run.
     """
 
     box: Box
@@ -48,7 +48,7 @@ class BlockPlan:
 
 @dataclass(frozen=True)
 class Plan:
-    """The blocks of a city, and what they have in common.
+    """The blocks of a capture, and the settings that they share.
 
     Attributes:
         options: of the run of each block, by the names of the command line.
@@ -68,7 +68,7 @@ class Plan:
 
     @property
     def boxes(self) -> tuple[Box, ...]:
-        """The boxes of all blocks, which share out the ground plane."""
+        """The boxes of all blocks, which divide the ground plane."""
         return tuple(block.box for block in self.blocks)
 
 

@@ -1,4 +1,4 @@
-"""The making of a plan: boxes of a coarse scene, the views of each, and how much each run has to do."""
+"""Planning: the boxes of a coarse scene, the views of each, and the size of each run."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -27,8 +27,8 @@ class Work:
     """The size of one run of the whole capture, which the blocks share.
 
     Attributes:
-        gaussians: that it would have at its end.
-        steps: that it would make.
+        gaussians: number of Gaussians that it would have at its end.
+        steps: number of steps that it would make.
     """
 
     gaussians: int

@@ -1,4 +1,4 @@
-"""Many points seen by one camera, of any lens; NumPy arrays in double precision go in and come out.
+"""Projections of many points to one camera, of any lens, on NumPy arrays in double precision.
 
 The camera's float32 numbers are what limits the precision of the results.
 """

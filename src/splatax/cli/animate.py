@@ -62,7 +62,7 @@ class Animate:
     background: BackgroundOption = None
     """Color behind the scene. By default black."""
     backend: BackendName = "auto"
-    """Rasterizer. If the named one is unavailable, the command fails."""
+    """Rendering backend. If the named one is unavailable, the command fails."""
     overwrite: OverwriteFlag = False
     """Replace the output if it exists."""
 

@@ -51,7 +51,7 @@ class Bench:
     sizes: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WIDTHxHEIGHT [WIDTHxHEIGHT ...]")] = ("504x378",)
     """Sizes of images in pixels."""
     backends: tuple[BackendName, ...] = ("auto",)
-    """Rasterizers to compare."""
+    """Backends to compare."""
     rounds: Annotated[int, tyro.conf.arg(metavar="N")] = 7
     """Number of times that each operation is timed."""
 

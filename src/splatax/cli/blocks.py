@@ -185,7 +185,7 @@ class TrainBlock:
     checkpoint_steps: Count = None
     """Additionally save a checkpoint every N steps."""
     overwrite: OverwriteFlag = False
-    """Train the block anew, even if it is done or was begun."""
+    """Train the block again from its first step, even if its run is finished or was interrupted."""
 
     def run(self) -> None:
         plan = read_plan(self.city)
@@ -218,7 +218,7 @@ class TrainBlock:
 
 @dataclass(frozen=True)
 class MergeBlocks:
-    """Merge the trained blocks of a plan into one scene: each gives what is inside its box."""
+    """Merge the trained blocks of a plan into one scene: the Gaussians inside the box of each block."""
 
     city: CityPath
     """Folder of the plan."""

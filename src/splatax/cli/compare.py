@@ -50,7 +50,7 @@ class Compare:
     scene: Annotated[Path | None, shown_as("CAPTURE")] = None
     """Folder of the capture. By default where it was when the runs were trained."""
     backend: BackendName = "auto"
-    """Rasterizer. If the named one is unavailable, the command fails."""
+    """Rendering backend. If the named one is unavailable, the command fails."""
 
     def run(self) -> None:
         if len(self.runs) < 2:

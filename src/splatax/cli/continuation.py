@@ -1,4 +1,4 @@
-"""Runs of other commands that start anew, or go on where they were stopped."""
+"""Runs that another command starts, or continues from where they were stopped."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -30,7 +30,7 @@ def carry_on(settings: Settings, out: Path) -> None:
 
 
 def as_before(settings: Settings, stored: Mapping[str, Any]) -> Settings:
-    """Returns the settings with which a run goes on.
+    """Returns the settings with which a run is continued.
 
     Args:
         settings: wanted now.

@@ -54,13 +54,12 @@ class Create:
     """Make a web page from photos, a video, or a capture.
 
     Estimates the camera poses (OUT/capture), trains a scene on all photos (OUT/run), and writes
-    OUT/scene.html. A sixth of the time goes into a trial run before (OUT/trial), which does not see some of
-    the photos: its score on these is that of the report. If interrupted, run the same command again to
-    resume.
+    OUT/scene.html. Before that, a trial run (OUT/trial) takes a sixth of the training time and holds out some
+    of the photos; the report gives its score on them. If interrupted, run the same command again to resume.
     """
 
     images: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PHOTOS")]
-    """Folder of photos, a video, or a capture, whose cameras are known already."""
+    """Folder of photos, a video, or a capture, which has camera poses already."""
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     """Output folder."""
     title: TextOption = None
@@ -78,7 +77,7 @@ class Create:
 
     def run(self) -> None:
         began = time.monotonic()
-        web.require_viewer()  # before an hour of work, not after it
+        web.require_viewer()  # checked first: the work may take an hour
         self.refuse_what_cannot_be_made()
         with claimed(self.out):
             self.refuse_what_was_made_otherwise()
@@ -102,7 +101,7 @@ class Create:
             webbrowser.open(page.resolve().as_uri())
 
     def train(self, capture: Path, out: Path, began: float) -> None:
-        """Trains on all photos, after a trial run that tells how good such a scene is."""
+        """Trains on all photos, after a trial run that measures how good such a scene is."""
         if files(out) and not self.overwrite:
             self.finish(out)
             return

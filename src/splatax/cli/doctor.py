@@ -23,7 +23,7 @@ TOLERANCE = 1e-4  # of the largest value: float32 sums over pixels in another or
 
 @dataclass(frozen=True)
 class Doctor:
-    """Show devices, rasterizers and versions, and test each rasterizer on a small scene.
+    """Show devices, backends and versions, and test each backend on a small scene.
 
     The test compares image and gradients with the reference. Exit code 1 if any differs.
     """
@@ -36,7 +36,7 @@ class Doctor:
         if backends.why_unavailable("cuda") is None:
             say(f"cuda          {nvidia.describe()}")
         say("versions      " + ", ".join(f"{name} {version}" for name, version in versions().items()))
-        table = Table("rasterizer", "state", "largest difference from the reference")
+        table = Table("backend", "state", "largest difference from the reference")
         chosen, sound = backends.resolve().name, True
         expected = image_and_gradient("reference")
         for name in backends.BACKENDS:
@@ -50,7 +50,9 @@ class Doctor:
             table.add_row(name, state, f"{error:.1e}" + ("" if error <= TOLERANCE else "  WRONG"))
         show(table)
         if not sound:
-            complain("a rasterizer is wrong here. Please report this, with all of the above.")
+            complain(
+                "a backend gives wrong results on this machine. Please report this with all output above."
+            )
             sys.exit(1)
 
 

@@ -69,7 +69,7 @@ class Evaluate:
     low_pass: LowPassOption = None
     """Anti-aliasing filter. By default the one that the file names."""
     backend: BackendName = "auto"
-    """Rasterizer. If the named one is unavailable, the command fails."""
+    """Rendering backend. If the named one is unavailable, the command fails."""
 
     def run(self) -> None:
         perceptual = lpips.read(self.lpips) if self.lpips else None
@@ -156,5 +156,5 @@ def views_of(dataset: sx.Dataset, split: str, scene: Path) -> tuple[sx.View, ...
     """
     views = {"test": dataset.test, "train": dataset.train, "all": dataset.views}[split]
     if not views:
-        raise InputError(f"{scene}: no photo is held out. Ask for --split train.")
+        raise InputError(f"{scene}: no photo is held out. Use --split train.")
     return views

@@ -92,7 +92,7 @@ class Export:
     """Divide the width and height of photos by this number. "auto": the smallest factor that brings the long
     side down to 1600 pixels. By default as in training, else "auto"."""
     backend: BackendName = "auto"
-    """Rasterizer. If the named one is unavailable, the command fails."""
+    """Rendering backend. If the named one is unavailable, the command fails."""
     overwrite: OverwriteFlag = False
     """Replace the file if it exists."""
 
@@ -121,22 +121,24 @@ class Export:
         if dataset:
             self._measure(model, dataset, place, coarser)
         elif coarser:
-            say("PSNR of the levels: measured with --scene CAPTURE")
+            say("to measure the PSNR of the levels, give --scene CAPTURE")
 
     def _check(self) -> None:
         """Raises InputError for options that cannot work, before anything is computed."""
         if is_page(self.out):
             web.require_viewer()
         elif formats.format_of(self.out) in formats.READ_ONLY:
-            raise InputError(f"{self.out}: can only be read. Write {', '.join(formats.WRITTEN)}.")
+            raise InputError(
+                f"{self.out}: this format can only be read. Choose one of {', '.join(formats.WRITTEN)}."
+            )
         elif self.title is not None or self.background is not None:
-            raise InputError(f"--title, --background: of pages alone, and {self.out} is no .html file.")
+            raise InputError(f"--title, --background: only for pages, and {self.out} is not an .html file.")
         if self.out.exists() and not self.overwrite:
             raise InputError(f"{self.out}: exists. Choose another name, or replace it: --overwrite.")
         if self.up and not self.scene:
             raise InputError("--up auto: needs the cameras of a capture: --scene FOLDER.")
         if self.spz_version and not self.out.name.lower().endswith(".spz"):
-            raise InputError(f"--spz-version: {self.out} is no .spz file.")
+            raise InputError(f"--spz-version: {self.out} is not an .spz file.")
         if (
             self.simplify is not None
             and not 0 < self.simplify < 1

@@ -17,7 +17,7 @@ from splatax.trajectories.shapes import focus_of
 
 SAMPLES = 8  # frames that determine the range of depth, so that its colors mean the same in all
 SHAPES = ("orbit", "spiral", "interpolate")
-DEFAULT_SIZE = (960, 540)  # where no capture tells another
+DEFAULT_SIZE = (960, 540)  # if no capture gives another
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Film:
         seconds: duration.
         depth: whether to show depth, in colors, to the right.
         background: RGB.
-        backend: rasterizer.
+        backend: name of the backend.
     """
 
     path: str | Path

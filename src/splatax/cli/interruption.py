@@ -1,4 +1,4 @@
-"""Signals that end training safely: after the step at hand, when its state is complete."""
+"""Signals that end training safely: after the current step, when its state is complete."""
 
 import signal
 import sys

@@ -50,7 +50,8 @@ class Label:
     model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")]
     """A splat file, or the folder of a run of splatax, INRIA's 3DGS or gsplat."""
     masks: Annotated[Path, tyro.conf.arg(metavar="DIR")]
-    """Folder of the label images, and of labels.txt. Not the capture's own masks, which training obeys."""
+    """Folder of the label images, and of labels.txt. It must not be the folder of the capture's own
+    masks, whose black pixels training ignores."""
     out: Annotated[Path | None, shown_as("FILE.glb")] = None
     """The scene of parts to write. By default parts.glb in the folder of the model."""
     scene: Annotated[Path | None, shown_as("CAPTURE")] = None
@@ -58,7 +59,7 @@ class Label:
     downscale: DownscaleOption = None
     """Divide the width and height of the views by this number. By default as in training, else "auto"."""
     backend: BackendName = "auto"
-    """Rasterizer. If the named one is unavailable, the command fails."""
+    """Rendering backend. If the named one is unavailable, the command fails."""
     overwrite: OverwriteFlag = False
     """Replace the file if it exists."""
 

@@ -66,7 +66,7 @@ class Mesh:
     low_pass: LowPassOption = None
     """Anti-aliasing filter. By default the one that the file names."""
     backend: BackendName = "auto"
-    """Rasterizer. If the named one is unavailable, the command fails."""
+    """Rendering backend. If the named one is unavailable, the command fails."""
     overwrite: OverwriteFlag = False
     """Replace the file if it exists."""
 

@@ -179,7 +179,7 @@ def load_scene(
 
 
 def resolve_backend(name: str) -> str:
-    """Returns the rasterizer to use. Prints why if "auto" chooses a slower one.
+    """Returns the backend to use. Prints why if "auto" chooses a slower one.
 
     Raises:
         InputError: if it cannot run here.
@@ -189,5 +189,5 @@ def resolve_backend(name: str) -> str:
     except ValueError as error:
         raise InputError(f"--backend: {error}.") from error
     if name == "auto" and jax.default_backend() == "cpu" and chosen != "cpu":
-        say(f"using the portable rasterizer: {backends.why_unavailable('cpu')}")
+        say(f"using the portable backend: {backends.why_unavailable('cpu')}")
     return chosen

@@ -1,5 +1,5 @@
-"""Everything that a command prints passes through here: names are made harmless, and a full disk or a closed
-pipe behind standard output never ends the work."""
+"""The functions through which commands print. They escape control characters, and a full disk or a closed
+pipe behind standard output does not end the work."""
 
 import os
 import sys
@@ -45,13 +45,13 @@ def _escaped(character: str) -> str:
 
 
 class Output:
-    """Standard output that outlives what it is connected to.
+    """Standard output whose errors do not end the command.
 
-    The first write that fails is told on standard error, unless a reader such as `head` has simply closed the
-    pipe. Everything after it is discarded, and the command goes on.
+    The first write that fails is reported on standard error, unless a reader such as `head` has closed the
+    pipe. Everything after it is discarded, and the command continues.
 
     Attributes:
-        failed: whether output was lost that someone wanted.
+        failed: whether output was lost for another reason than a closed pipe.
     """
 
     def __init__(self, stream: Any):
@@ -82,12 +82,12 @@ class Output:
         os.close(nowhere)
         if not isinstance(error, BrokenPipeError):
             self.failed = True
-            complain(f"standard output: {error.strerror}. The command goes on without it.")
+            complain(f"standard output: {error.strerror}. The command continues without it.")
 
 
 @contextmanager
 def guarded() -> Iterator[None]:
-    """Lets the work inside go on when standard output fails.
+    """Lets the work inside continue if standard output fails.
 
     Exits with `UNWRITTEN` at the end if output was lost, unless the work fails by itself.
     """

@@ -13,7 +13,7 @@ M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # of glibc's malloc.h
 def keep_compiled_programs() -> None:
     """Lets JAX find the programs of earlier runs instead of compiling them again.
 
-    They are kept in the user's cache folder, unless JAX has been told another place.
+    They are kept in the user's cache folder, unless JAX is configured with another folder.
     """
     if jax.config.values["jax_compilation_cache_dir"] is None:
         root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"

@@ -1,4 +1,4 @@
-"""The capture and the plan of a run: as its options say, and after a look at photos and machine."""
+"""The capture and the plan of a run, from its options, its photos and the speed of the machine."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -66,11 +66,11 @@ def loaded(settings: Settings, downscale: int | None = None) -> sx.Dataset:
 
 
 def prepared(settings: Settings, dataset: sx.Dataset, out: Path) -> tuple[Settings, sx.Dataset]:
-    """Returns settings and capture after a look at the photos, and prints each decision in one line.
+    """Examines the photos, and returns settings and capture; prints each decision in one line.
 
-    Adjusts cameras if that is asked for, finds points if the capture has none, leaves out photos that harm,
-    and compensates uneven exposure. The settings that are returned record the decisions, so a run that is
-    resumed or repeated takes them over.
+    Adjusts cameras if requested, finds points if the capture has none, leaves out blurred and repeated
+    photos, and compensates for uneven exposure. The settings that are returned record the decisions, so a run
+    that is resumed or repeated takes them over.
 
     Args:
         settings: of the run; only what they leave open is decided.
@@ -110,7 +110,7 @@ def prepared(settings: Settings, dataset: sx.Dataset, out: Path) -> tuple[Settin
         if findings.uneven:
             say(
                 f"exposure differs between photos by {findings.exposure:.2f} stops (standard deviation), so "
-                "it is compensated. Turn that off: --appearance none"
+                "it is compensated for. Turn that off: --appearance none"
             )
         settings = replace(settings, appearance="exposure" if findings.uneven else "none")
     return settings, dataset

@@ -74,7 +74,7 @@ class Render:
     low_pass: LowPassOption = None
     """Anti-aliasing filter. By default the one that the file names."""
     backend: BackendName = "auto"
-    """Rasterizer. If the named one is unavailable, the command fails."""
+    """Rendering backend. If the named one is unavailable, the command fails."""
     overwrite: OverwriteFlag = False
     """Replace the output of an earlier call."""
 
@@ -117,7 +117,7 @@ class Render:
             given = [name for name in ("size", "fps", "seconds", "depth") if getattr(self, name)]
             if given or self.out.suffix.lower() in video.SUFFIXES:
                 what = f"--{given[0]}" if given else self.out
-                raise InputError(f"{what}: for videos alone. Choose a camera path, for example --path orbit.")
+                raise InputError(f"{what}: only for videos. Choose a camera path, for example --path orbit.")
             return None
         path = self.path if self.path in SHAPES else Path(self.path)
         fps = 30 if self.fps is None else self.fps

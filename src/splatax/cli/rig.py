@@ -199,7 +199,7 @@ def followed(
 ) -> RigProgress:
     """Makes the steps of a run with a progress bar, saves it now and then, and returns its last step.
 
-    Ctrl-C ends training after the step at hand.
+    Ctrl-C ends training after the current step.
     """
     began = time.perf_counter() - history.train_seconds
     last = None

@@ -198,7 +198,7 @@ def as_started(kind: type[Kind], stored: Mapping[str, Any], given: Mapping[str, 
     for name, value in given.items():
         if name not in free and value != getattr(settings, name):
             raise InputError(
-                f"{flag(name)} {value}: the run was started with {getattr(settings, name)}, and goes on with "
-                "that. Leave the option out, or start a new run."
+                f"{flag(name)} {value}: the run was started with {getattr(settings, name)}, which cannot be "
+                "changed. Leave the option out, or start a new run."
             )
     return replace(settings, **given)  # type: ignore[type-var]

@@ -83,7 +83,7 @@ class Train:
         chosen = {name: value for name, value in given(self).items() if name in NAMES}
         if self.limits.within is not None and (self.rerun.resume or self.rerun.repeat):
             raise InputError(
-                "--within: a run that goes on or is repeated makes the steps that it has. Leave it out."
+                "--within: a resumed or repeated run has a fixed number of steps. Leave the option out."
             )
         if self.rerun.resume is not None:
             earlier = find(self.rerun.resume)
@@ -212,9 +212,9 @@ class Train:
                 say(f"stopped at step {history.steps:,}. Resume it: splatax train --resume {out}")
 
     def steps(self, session: Session, start: RunState | None) -> RunState:
-        """Makes the steps of a run with a progress bar, and for those who watch in the browser.
+        """Makes the steps of a run with a progress bar, and shows them in the live viewer if requested.
 
-        Ctrl-C ends training after the step at hand.
+        Ctrl-C ends training after the current step.
 
         Returns:
             The run after its last step.
@@ -273,7 +273,7 @@ def told_how_to_finish(out: Path) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        complain(f"stopped while the results were written. Write them: splatax train --resume {out}")
+        complain(f"stopped while the results were written. To write them: splatax train --resume {out}")
         raise
 
 
@@ -289,8 +289,8 @@ def write(results: Results, checkpoints: Checkpoints) -> None:
         )
     for name, weight in results.doubted.items():
         say(
-            f"{name} fits none of the other photos, so it counted with a weight of {weight:.2g} at the end. "
-            "Count all alike: --photo-weights equal"
+            f"{name} does not fit the other photos, so its weight was {weight:.2g} at the end. "
+            "Weigh all equally: --photo-weights equal"
         )
     if scores:
         corrected = f" ({scores.corrected_psnr:.2f} dB colour-corrected)" if results.compensates else ""

@@ -49,7 +49,7 @@ class Photos:
     """Photos not to train on. "auto", the default: those that are blurred compared with the rest, and those
     that repeat another; LIST: names with commas, or a .txt file."""
     undistort: Annotated[bool, shown_as()] = False
-    """Resample the photos for pinhole cameras before training. Without it, photos are used as they are, and
+    """Resample the photos for pinhole cameras before training. By default photos are used as they are, and
     the scene is trained through their lenses. Photos of a lens that splatax lacks are always resampled."""
     points: Annotated[Path | None, shown_as("FILE.ply")] = None
     """Start from the colored points of this file instead of those of the capture."""
@@ -117,9 +117,9 @@ class Method:
     correct when zoomed out; "along-rays": exact in perspective, as in 2DGS. By default "along-rays" for the
     recipe "2dgs", else "dilation"."""
     appearance: Annotated[AppearanceName | None, shown_as()] = None
-    """Compensate differences between photos. "exposure": learns an affine color map for each training photo,
-    for exposure and white balance. By default "auto": only if exposure differs much. Held-out photos are
-    compared as they are, and once more after a color correction."""
+    """Compensate for differences between photos. "exposure": learns an affine color map for each training
+    photo, for exposure and white balance. By default "auto": only if exposure differs much. Held-out photos
+    are compared as they are, and once more after a color correction."""
     refine: Annotated[RefinementName | None, shown_as()] = None
     """Optimize the training cameras: their poses, focal lengths, lenses (focal lengths and distortion), or
     motion during the exposure (a rolling shutter). Use it only for what is inaccurate by a pixel or less;
@@ -128,20 +128,21 @@ class Method:
     adjust_cameras: Annotated[AdjustmentName | None, shown_as()] = None
     """Adjust the cameras of training photos to matched features before training (bundle adjustment): their
     poses; also focal lengths with "poses+focal", distortion with "poses+distortion", or both with
-    "poses+lens". The given cameras are kept if that does not lower the reprojection error of points kept
-    aside. Held-out photos have no part in it and keep their poses, but have the lenses found for training
+    "poses+lens". The given cameras are kept if that does not lower the reprojection error of held-out
+    points. Held-out photos are not used for it and keep their poses, but get the lenses found for training
     photos; they are also scored with poses adjusted to them. By default none."""
     geometry: Annotated[bool, shown_as()] = False
     """Make the Gaussians lie on surfaces, for accurate depth, normals and meshes. Adds penalties on the
     spread of depth along each ray, and on depths that differ from those of the capture's own points or depth
     maps. Training takes about twice as long, and PSNR is 0.6 to 0.8 dB lower. By default off."""
     photo_weights: Annotated[PhotoWeightsName | None, shown_as()] = None
-    """Weights of photos in training. "robust": photos whose error stays far above that of the others after a
-    third of the run count less, because their pose is wrong or they show something else; "equal": all count
-    alike. By default "auto": robust for the recipe "default" from 10 training photos on, else equal."""
+    """Weights of photos in training. "robust": photos whose loss stays far above that of the others after a
+    third of the run get a lower weight, because their pose is wrong or they show something else; "equal": all
+    photos have the same weight. By default "auto": robust for the recipe "default" from 10 training photos
+    on, else equal."""
     backend: Annotated[BackendName | None, shown_as()] = None
-    """Rasterizer. If the named one is unavailable, the command fails instead of falling back. By default
-    "auto": the fastest one available."""
+    """Rendering backend. If the named one is unavailable, the command fails instead of falling back. By
+    default "auto": the fastest one available."""
     seed: Count = None
     """Random seed. Runs with the same seed, machine and options produce identical scenes. By default 0."""
 

@@ -55,7 +55,7 @@ class View:
     low_pass: LowPassOption = None
     """Anti-aliasing filter. By default the one that the file names."""
     backend: BackendName = "auto"
-    """Rasterizer. If the named one is unavailable, the command fails."""
+    """Rendering backend. If the named one is unavailable, the command fails."""
 
     def run(self) -> None:
         model = read_model(self.model, self.low_pass)
@@ -84,7 +84,7 @@ def announce(viewer: Viewer, host: str) -> None:
 
 
 class Audience:
-    """Viewers of a scene that is being trained. Without any, `waits` is the only cost.
+    """Browsers that watch a scene while it is trained. Without any, `waits` is the only cost.
 
     Attributes:
         viewer: the server of the live viewer.

@@ -1,4 +1,4 @@
-"""Capture of a drawn scene in COLMAP's layout, with exact cameras and surface points."""
+"""Capture of a synthetic scene in COLMAP's layout, with exact cameras and surface points."""
 
 from pathlib import Path
 

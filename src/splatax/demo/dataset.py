@@ -1,4 +1,4 @@
-"""Data set of a drawn scene in memory: cameras, photos and surface points."""
+"""Data set of a synthetic scene in memory: cameras, photos and surface points."""
 
 from functools import cache, partial
 

@@ -1,4 +1,4 @@
-"""A capture of a drawn arm in several poses, in files."""
+"""Files of a synthetic capture: an arm in several poses."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Records of a drawn scene: its surfaces, its light, and where its photos are taken."""
+"""Records of a synthetic scene: its surfaces, its light, and where its photos are taken."""
 
 from dataclasses import dataclass
 from typing import Literal

@@ -1,4 +1,4 @@
-"""Places from which the photos of a drawn capture are taken."""
+"""Viewpoints from which the photos of a synthetic capture are taken."""
 
 from dataclasses import dataclass
 from itertools import count

@@ -1,4 +1,4 @@
-"""Looks at photos before training: which are blurred or repeated, and how their exposure differs."""
+"""Examines photos before training: which are blurred or repeated, and how their exposure differs."""
 
 import time
 from collections.abc import Iterator, Sequence
@@ -42,13 +42,13 @@ ROUNDS = 10
 
 @dataclass(frozen=True)
 class Findings:
-    """Findings of a look at the photos of a capture.
+    """Findings about the photos of a capture.
 
     Attributes:
         blurred: training photos that are blurred, compared with the rest, and can be spared.
         repeated: training photos that show the same from the same place as another, with that one's name.
-        exposure: standard deviation of the photos' exposure, in stops; None if it cannot be told.
-        seen: number of photos that there was time to look at.
+        exposure: standard deviation of the photos' exposure, in stops; None if it cannot be measured.
+        seen: number of photos that were examined in the time.
     """
 
     blurred: tuple[str, ...] = ()
@@ -80,7 +80,7 @@ class Sight:
 
 
 def look_first(dataset: Dataset) -> Findings:
-    """Looks at small versions of the photos of a capture, for a few seconds, evenly over all of them.
+    """Examines small versions of the photos of a capture for a few seconds, evenly spread over all of them.
 
     Args:
         dataset: the capture. Photos without a file (`Survey.files`) are not looked at.
@@ -107,7 +107,7 @@ def sights_of(dataset: Dataset, points: Float[np.ndarray, "n 3"], deadline: floa
         try:
             return sight_of(views[name], images.glance(dataset.survey.files[name], LONGEST_SIDE), points)
         except (InputError, OSError):
-            return None  # told when training reads the photo
+            return None  # reported when training reads the photo
 
     names = list(spread(sorted(views.keys() & dataset.survey.files.keys())))
     with ThreadPoolExecutor(WORKERS) as pool:

@@ -110,7 +110,7 @@ def whole_sphere(view: View) -> bool:
 
 
 def header_of(name: str, file: Path) -> Photo | None:
-    """Returns what the header of a photo tells; None if it cannot be read, which its look tells."""
+    """Returns the header of a photo; None if it cannot be read, which is reported with its measurements."""
     try:
         return photo_of(name, file)
     except DatasetError:

@@ -92,7 +92,7 @@ def placement(found: Examination) -> Iterator[Problem]:
     if span <= LEVEL_SPAN * distance:
         yield Problem(
             "error",
-            "All photos are from one place, so they tell nothing about depth.",
+            "All photos were taken from one place, so they contain no information about depth.",
             "Walk sideways or around the subject instead of turning on the spot.",
         )
 
@@ -106,8 +106,8 @@ def errors(found: Examination) -> Iterator[Problem]:
         yield Problem(
             "error" if middle > 4 * HIGH_ERROR else "warning",
             f"Points project {middle:.1f} pixels from where they were seen, in the median photo.",
-            "Poses and photos do not belong together, or the lens was calibrated badly: use the very "
-            "photos that the poses were found from, or run splatax reconstruct again.",
+            "Poses and photos do not belong together, or the lens was calibrated badly: use the "
+            "same photos that the poses were found from, or run splatax reconstruct again.",
         )
     elif bad:
         yield Problem(

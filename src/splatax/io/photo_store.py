@@ -194,7 +194,7 @@ def keys_of(view: View) -> dict[str, int]:
     try:
         return {pixels.identity: channels * area} | ({mask.identity: area} if mask else {})
     except OSError:
-        return {}  # told when training reads the photo
+        return {}  # reported when training reads the photo
 
 
 def view_from(store: PhotoStore, view: View, keys: list[str]) -> View:
@@ -204,6 +204,6 @@ def view_from(store: PhotoStore, view: View, keys: list[str]) -> View:
 
 
 def remove(path: Path) -> None:
-    """Removes a file, unless it is in use where that is not possible, or gone."""
+    """Removes a file, unless it no longer exists, or is in use on a system that does not allow this."""
     with suppress(OSError):
         path.unlink()

@@ -1,4 +1,4 @@
-"""Writes films: .mp4 and .webm with FFmpeg through PyAV, .gif with Pillow, or a folder of pictures."""
+"""Writes videos: .mp4 and .webm with FFmpeg through PyAV, .gif with Pillow, or a folder of images."""
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -22,7 +22,7 @@ BT709 = 1  # matrix, primaries and transfer of HD television in H.273, which pla
 
 
 def writing(path: Path, size: tuple[int, int], fps: int) -> AbstractContextManager[Add]:
-    """Opens a film to which frames are added; see `film_of`.
+    """Opens a video, and yields a function that adds a frame to it.
 
     A file appears when all frames are written. A folder fills frame by frame.
 
@@ -38,7 +38,7 @@ def writing(path: Path, size: tuple[int, int], fps: int) -> AbstractContextManag
     writers = {".mp4": _mp4, ".webm": _webm, ".gif": _gif, "": _folder}
     if path.suffix.lower() not in writers:
         raise InputError(
-            f"{path}: films are .mp4, .webm or .gif, or a folder of pictures: a name without dot."
+            f"{path}: videos are .mp4, .webm or .gif, or a folder of images: a name without a dot."
         )
     if path.suffix.lower() in (".mp4", ".webm"):
         _require_pyav(path)
@@ -92,7 +92,7 @@ def _encoded(
 
 
 def _front(container: str) -> dict[str, str]:
-    """Returns the option that puts an MP4's index first, so that the film plays while it loads."""
+    """Returns the option that puts an MP4's index first, so that the video plays while it loads."""
     return {"movflags": "+faststart"} if container == "mp4" else {}
 
 

@@ -82,7 +82,7 @@ def samples_of(
 
 
 def compare(mesh: Mesh, truth: Samples, tolerance: float = TOLERANCE) -> Agreement:
-    """Measures how far a mesh is from the truth, and how much of the truth it has.
+    """Measures the distance of a mesh from true surfaces, and how much of these the mesh covers.
 
     A distance from the truth is that from the nearest of the discs of its samples.
 

@@ -1,4 +1,4 @@
-"""The surface of a volume: marching cubes over chunks of blocks, joined without seams."""
+"""Extraction of the surface of a volume: marching cubes over chunks of blocks, joined without seams."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int

@@ -1,7 +1,7 @@
 """Bundle adjustment of given cameras over feature matches, before training.
 
-The given cameras are the start. Every fifth track is kept aside: its error tells whether the adjusted cameras
-agree with the photos better than the given ones, and if not, the given ones stay.
+The given cameras are the start. Every fifth track is held out: its error shows whether the adjusted cameras
+agree with the photos better than the given ones. If not, the given ones are used.
 """
 
 import copy
@@ -52,7 +52,7 @@ class Adjustment:
         given: the views as they were given.
         views: the views with the cameras to use.
         lenses: corrections of lenses, by the names of views; empty if poses alone were adjusted.
-        before: median reprojection error of the tracks kept aside with the given cameras, pixels.
+        before: median reprojection error of the held-out tracks with the given cameras, pixels.
         after: the same with the adjusted cameras.
         motion: median distance by which the tracks move in the photos from given to adjusted cameras, pixels.
         observations: number of matched features that the cameras were adjusted to; 0 if there are too few.
@@ -110,9 +110,9 @@ def adjusted_cameras(
 ) -> Adjustment:
     """Adjusts the cameras of views to matched features, and keeps the given ones if that does not help.
 
-    The world stays in its place: the adjusted model is moved, turned and scaled so that its cameras are, on
-    average, where the given ones are. Principal points stay as given. Pass training views only, so that
-    held-out photos have no part in it.
+    The coordinate system stays the same: the adjusted model is moved, turned and scaled so that its cameras
+    are, on average, where the given ones are. Principal points stay as given. Pass training views only, so
+    that held-out photos are not used.
 
     Args:
         views: views with cameras that are accurate to several pixels, apart from what is free.

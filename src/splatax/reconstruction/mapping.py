@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import pycolmap
 
 PHOTOS_AT_ONCE, PAIRS_AT_ONCE = 16, 128
-FIRST_PHOTOS = 4  # whose time tells how long all take
+FIRST_PHOTOS = 4  # from whose time that of all is estimated
 FEWEST_IN_MODEL = 3  # photos
 MANY = 20  # photos of one camera from which its tangential distortion is estimated too
 UNKNOWN_FOCAL = 1.2  # focal length over the longer side if EXIF has none (as in COLMAP)
@@ -197,7 +197,7 @@ def match(path: Path, pairing: Pairing, seed: int, watch: Callable[[int, int], N
         frames = {data.id: frame.frame_id for frame in database.read_all_frames() for data in frame.data_ids}
         ids = sorted(names)
         every = [(ids[i], ids[j]) for i, j in pairing.pairs(database, ids)]
-        # Faces of one panorama were taken from one place, so their matches tell nothing.
+        # Faces of one panorama were taken from one place, so their matches say nothing about depth.
         pairs = [(a, b) for a, b in every if frames[a] != frames[b]]
         left = [pair for pair in pairs if not database.exists_two_view_geometry(*pair)]
     listed = path.with_name("pairs.txt")

@@ -1,1 +1,1 @@
-"""A run as people look at it: pictures, curves and tables."""
+"""Reports of runs: pictures, curves and tables."""

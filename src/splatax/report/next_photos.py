@@ -25,13 +25,13 @@ class Spot:
     Attributes:
         position: world units.
         why: what is known about the place.
-        mend: what to do there.
+        fix: what to do there.
         gap: true if it lies in a gap between the cameras, false if a photo there is bad.
     """
 
     position: Float[np.ndarray, "3"]
     why: str
-    mend: str
+    fix: str
     gap: bool
 
 

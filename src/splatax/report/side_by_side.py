@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 from PIL import Image, ImageDraw
 from scipy.ndimage import uniform_filter
 
@@ -20,7 +21,7 @@ CROP_SHARE = 1 / 5  # of the shorter side of a picture
 CROP_SHOWN = 360  # pixels that a crop is enlarged to, at least
 COLUMNS = 3  # of the faces of a 360-degree photo in one picture
 
-Shaped = TypeVar("Shaped", bound=np.ndarray)  # pictures or masks
+Scalar = TypeVar("Scalar", bound=np.generic)  # of pictures or masks
 
 
 @dataclass(frozen=True)
@@ -131,7 +132,7 @@ def most_different(images: Sequence[Picture], mask: Mask | None = None) -> tuple
     return left, top, left + side, top + side
 
 
-def joined(faces: Sequence[Shaped]) -> Shaped:
+def joined(faces: Sequence[npt.NDArray[Scalar]]) -> npt.NDArray[Scalar]:
     """Returns the faces of a 360-degree photo, or masks of them, as one picture, in rows of `COLUMNS`.
 
     A single picture stays as it is. Places without a face, and what lies beside smaller ones, are zero.

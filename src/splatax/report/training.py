@@ -77,7 +77,7 @@ def measures(results: Results, scores: Scores) -> dict[str, str]:
     if results.judge is None:
         return seen
     test = results.judge.metrics["test"]
-    unseen = f"of {counted(len(test['views']))} that a trial run had not seen"
+    unseen = f"of {counted(len(test['views']))} that a trial run held out"
     measured = [
         (f"PSNR {unseen}", psnr_of(test)),
         (f"colour-corrected PSNR {unseen}", test["corrected_psnr"]),
@@ -104,14 +104,14 @@ def notes(results: Results) -> list[str]:
     every, judge = photos_in(results.dataset.train), results.judge
     trained = f"The scene was trained on all {every} photos"
     if judge is None:
-        meaning = f"{trained}, so none of them can tell how it looks from elsewhere."
+        meaning = f"{trained}, so none of them can show how it looks from other viewpoints."
         return [meaning, *results.dataset.notes]
     seconds, unseen = duration(judge.metrics["train_seconds"]), len(judge.metrics["test"]["views"])
     same_size = judge.options.get("downscale") == results.options.get("downscale")
     meaning = (
         f"{trained}. The score at the top is that of a trial run of {seconds}"
-        f"{'' if same_size else ', with smaller photos'}, which had not seen {unseen} of them and was "
-        "compared with these. The scene itself had more time and more photos, so it is usually better."
+        f"{'' if same_size else ', with smaller photos'}, which held out {unseen} of them and was compared "
+        "with these. The scene itself had more time and more photos, so it is usually better."
     )
     return [
         meaning,

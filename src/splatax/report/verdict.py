@@ -34,12 +34,12 @@ class Complaint:
     Attributes:
         what: the fault.
         why: its probable cause, or the measurement that shows it.
-        mend: what to do about it.
+        fix: what to do about it.
     """
 
     what: str
     why: str
-    mend: str
+    fix: str
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def verdict_of(
         *_evenly_poor(psnrs),
         *_number(dataset),
         *(
-            Complaint("There are gaps between the photos.", spot.why, spot.mend)
+            Complaint("There are gaps between the photos.", spot.why, spot.fix)
             for spot in spots[:1]
             if spot.gap
         ),
@@ -109,12 +109,12 @@ def _bar(psnrs: np.ndarray) -> float:
 
 
 def _headline(psnrs: np.ndarray, unseen: bool) -> str:
-    whose = "photos that it had not seen" if unseen else "its own photos"
-    return f"Seen from the places of {whose}, the scene is {grade(float(np.median(psnrs)))}."
+    whose = "held-out photos" if unseen else "its training photos"
+    return f"From the viewpoints of {whose}, the scene is {grade(float(np.median(psnrs)))}."
 
 
 def _good(psnrs: np.ndarray, scores: Sequence[ViewScore], unseen: bool) -> list[str]:
-    kind = "that it had not seen" if unseen else "that it was trained on"
+    kind = "held out from training" if unseen else "that it was trained on"
     good, best = int((psnrs >= GOOD).sum()), max(scores, key=lambda score: score.psnr)
     if not good:
         return [f"The best picture of a photo {kind}, {best.name}, is {grade(best.psnr)}."]
@@ -132,7 +132,7 @@ def _unseen_photos(unseen: bool) -> list[Complaint]:
         return []
     return [
         Complaint(
-            "Nothing shows how the scene looks from other places.",
+            "Nothing shows how the scene looks from other viewpoints.",
             "No photo was held out, so the scores are of photos that it was trained on.",
             "Train again with some photos held out (hold_out every:8).",
         )
@@ -142,14 +142,14 @@ def _unseen_photos(unseen: bool) -> list[Complaint]:
 def _doubted(weights: Mapping[str, float]) -> list[Complaint]:
     if not weights:
         return []
-    verb = "fits" if len(weights) == 1 else "fit"
+    verb = "does" if len(weights) == 1 else "do"
     return [
         Complaint(
-            f"{listed(sorted(weights, key=weights.__getitem__))} {verb} none of the other photos.",
-            "The error stayed far above that of the other photos while the scene was trained, so it counted "
-            f"little: with a weight of {min(weights.values()):.2g} at the end, where 1 is usual.",
-            "Look whether the pose is wrong, or something stood in front of the camera, and leave the photo "
-            "out. If it is right, count all photos alike (photo_weights equal).",
+            f"{listed(sorted(weights, key=weights.__getitem__))} {verb} not fit the other photos.",
+            "The loss stayed far above that of the other photos during training, so the weight was lowered: "
+            f"to {min(weights.values()):.2g} at the end, where 1 is usual.",
+            "Check whether the pose is wrong or something stood in front of the camera; if so, leave it "
+            "out. If the photo is right, weigh all photos equally (photo_weights equal).",
         )
     ]
 
@@ -200,10 +200,10 @@ def _bad_photos(dataset: Dataset, scores: Sequence[ViewScore], gallery: Gallery)
     for score in worst_first:
         causes.setdefault(_cause(score, known), []).append(score)
     complaints = []
-    for (why, mend), bad in causes.items():
+    for (why, fix), bad in causes.items():
         verb = "is" if len(bad) == 1 else "are"
         complaints.append(
-            Complaint(f"{listed(score.name for score in bad)} {verb} {grade(bad[0].psnr)}.", why, mend)
+            Complaint(f"{listed(score.name for score in bad)} {verb} {grade(bad[0].psnr)}.", why, fix)
         )
     return complaints
 
@@ -223,7 +223,7 @@ def _cause(score: ViewScore, known: _Known) -> tuple[str, str]:
         )
     if shown and shown.hazy:
         return (
-            "Haze: something hangs in front of the camera there that no other photo shows to be empty.",
+            "Haze: Gaussians float in front of the camera, where no other photo shows that space is empty.",
             "Take photos beside and behind this place, and train longer.",
         )
     if known.spacings.get(score.name, 1.0) > ISOLATED:
@@ -261,7 +261,7 @@ def _evenly_poor(psnrs: np.ndarray) -> list[Complaint]:
         return []
     return [
         Complaint(
-            "All pictures lack fine detail.",
+            "All views lack fine detail.",
             "No photo is much worse than the others, so the cause is not in single photos.",
             "Train longer, or take more and sharper photos from nearer.",
         )

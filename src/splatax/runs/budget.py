@@ -24,9 +24,9 @@ ROUNDS = 5
 GAUSSIANS_PER_STEP = 60  # of a run; see docs/results.md
 HEAVIER = 1.45  # a step of a capture than one of a procedural scene: 1.6 measured on fern, 1.4 on fox
 COMPILING = 0.7  # seconds for each size of the arrays that a scene grows through
-FEWEST_STEPS = 200  # with fewer, scenes are unusable: a run rather takes longer than asked
+FEWEST_STEPS = 200  # with fewer, scenes are unusable, so a run may exceed its budget
 PARTS = 400  # of a run, over which the cost of its steps is summed
-RECENT = 5  # looks at the clock whose median is the speed: compiling, as a scene grows, is no lasting delay
+RECENT = 5  # measurements whose median is the speed, so that compilation does not count as a lasting slowdown
 STRIDE, STEADY = (
     1.25,
     0.7,

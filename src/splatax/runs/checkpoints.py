@@ -17,7 +17,7 @@ FOLDER = "checkpoints"  # in that of the run
 
 
 class Checkpoints:
-    """Saves a run while it goes on, one file at a time, and keeps the last two.
+    """Saves a run while it continues, one file at a time, and keeps the last two.
 
     A context manager: leaving it waits for the file that is being written, unless the user stops at once.
     """
@@ -31,7 +31,7 @@ class Checkpoints:
         steps: int = 0,
         earlier: Path | None = None,
     ):
-        """Removes what is in the way of new checkpoints.
+        """Removes files that are in the way of new checkpoints.
 
         Args:
             run: folder of the run.
@@ -127,7 +127,7 @@ class Checkpoints:
                 if other not in (path, self._latest):
                     other.unlink()
             self._latest = path
-        except Exception as error:  # told by the thread that trains
+        except Exception as error:  # reported by the thread that trains
             self._error = error
 
 

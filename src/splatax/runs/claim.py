@@ -25,8 +25,8 @@ AT = 1 << 30  # the byte that Windows locks, far behind the process id, which ot
 def claimed(folder: Path) -> Iterator[None]:
     """Makes a folder, and keeps other processes from writing to it meanwhile.
 
-    The operating system releases the lock when the process ends, whatever ends it: a file that a killed
-    process left behind stops nobody.
+    The operating system releases the lock when the process ends, even if it is killed, so a file that a
+    killed process left behind blocks no other process.
 
     Raises:
         InputError: if another process holds the folder, or it cannot be written to.
@@ -43,7 +43,7 @@ def claimed(folder: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        with suppress(OSError):  # a disk that fails now has no say in what was done
+        with suppress(OSError):  # a disk error here does not undo what was done
             if fcntl:
                 (folder / LOCK).unlink()  # while it is locked, else it could be the next process's
             file.close()

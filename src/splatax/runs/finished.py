@@ -95,9 +95,7 @@ def read_runs(folders: Sequence[Path]) -> list[FinishedRun]:
         with understood(folder / "metrics.json", AGAIN):
             runs[-1].check()
         if not runs[-1].metrics.get("test"):
-            raise InputError(
-                f"{folder}: a run without test photos has nothing to be compared by. Leave it out."
-            )
+            raise InputError(f"{folder}: a run without test photos cannot be compared. Leave it out.")
     return runs
 
 
@@ -115,7 +113,10 @@ def finished(run: Path, names: set[str]) -> tuple[dict[str, Any], list[tuple[int
     options = part_of(path, {}, within="options")
     if options.keys() != names:
         other = ", ".join(sorted(options.keys() ^ names))
-        raise InputError(f"{path}: of a splatax with other options ({other}). Repeat the run with that one.")
+        raise InputError(
+            f"{path}: from a version of splatax with other options ({other}). Repeat the run with that "
+            "version."
+        )
     made = part_of(path, {"changes": list})["changes"]
     with understood(path, AGAIN):
         return options, [(typed(step, int, "a step"), typed(total, int, "a total")) for step, total in made]
@@ -206,6 +207,6 @@ def check_comparable(runs: Sequence[FinishedRun], *, scene_given: bool) -> None:
         for name in sorted(PROTOCOL & run.protocol.keys() & first.protocol.keys()):
             if run.protocol[name] != first.protocol[name]:
                 raise InputError(
-                    f"{run.folder}: measured otherwise than {first.folder}: {name} is "
+                    f"{run.folder}: measured differently from {first.folder}: {name} is "
                     f"{run.protocol[name]!r}, there {first.protocol[name]!r}. Train one of them again."
                 )

@@ -1,4 +1,4 @@
-"""The record of a run, kept while it goes on."""
+"""The record of a run, which grows while it is trained."""
 
 from dataclasses import asdict, dataclass, field
 from typing import Any

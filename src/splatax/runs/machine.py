@@ -52,7 +52,7 @@ def cpu_name() -> str:
 
 
 def busyness() -> float:
-    """Returns how many times as long work takes while other programs run as now, by the load of a minute.
+    """Returns the factor by which other programs slow down work, from the load of the last minute.
 
     It is 1 on a machine with a core for each program that runs, and where the system does not tell the load.
     """

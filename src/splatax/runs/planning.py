@@ -13,7 +13,7 @@ from splatax.runs import forecast
 from splatax.runs.machine import busyness, physical_memory
 from splatax.runs.results import SHOWN
 
-ENOUGH_STEPS = 500  # of a budget: with fewer, smaller photos teach more
+ENOUGH_STEPS = 500  # of a budget: with fewer, smaller photos give better scenes
 SMALLEST_SIDE = 640  # pixels of the longer side that photos are not made smaller than for it
 WRITING, SCORING = 5.0, 2e-6  # seconds to write results on two cores, and more for each pixel that is scored
 DECODING_FRACTION = 0.25  # of what is left of the limit: the most that decoding photos ahead may take

@@ -1,5 +1,5 @@
-"""Records of runs in JSON (config.json, metrics.json, create.json, headers of checkpoints), which anybody may
-have edited or cut short: whatever is wrong with one ends in one sentence."""
+"""Records of runs in JSON (config.json, metrics.json, create.json, headers of checkpoints). They may be
+edited or truncated: every error in one becomes a message of one sentence."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""The files that a run leaves: scene.ply, metrics.json, config.json, and whatever pages are made of it."""
+"""The files that a run writes: scene.ply, metrics.json, config.json, and the pages of reports."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -63,7 +63,7 @@ class Results:
         last: the run after its last step.
         options: that the run was started with, for config.json.
         out: the folder.
-        judge: another run of the capture, with held-out photos, whose scores speak for this one's.
+        judge: another run of the capture, with held-out photos, whose scores the report gives.
     """
 
     title: str
@@ -249,7 +249,7 @@ def conclude(results: Results, checkpoints: Checkpoints, audience: Audience | No
         if not files(results.out):
             raise InputError(why, options=helps) from error
         raise InputError(
-            f"{why} Training is saved. Resume the run once that is mended: it only writes the results.",
+            f"{why} Training is saved. Resume the run once that is fixed: only the results will be written.",
             options=(*helps, f"resume {results.out}"),
         ) from error
     if not results.history.interrupted:

@@ -1,4 +1,4 @@
-"""Resuming a run: its newest checkpoint, and whether everything is as it was."""
+"""Resuming a run: its newest checkpoint, and checks that nothing has changed since."""
 
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -76,7 +76,7 @@ class Earlier:
         if self.facts["device"] != now["device"]:
             warnings.warn(
                 f"the run was started on {self.facts['device']}, this is {now['device']}: the result will be "
-                "as good, but not the same bit for bit",
+                "equivalent, but not the same bit for bit",
                 stacklevel=2,
             )
         with understood(self.path, OTHER):
@@ -89,8 +89,8 @@ class Earlier:
         changes = "; ".join(differences(self.facts[subject], now))
         if changes:
             raise InputError(
-                f"{self.path}: cannot go on, because the {subject} of the run changed: {changes}. Put it "
-                "back as it was, or start a new run."
+                f"{self.path}: cannot be resumed, because the {subject} of the run changed: {changes}. "
+                "Put it back as it was, or start a new run."
             )
 
 

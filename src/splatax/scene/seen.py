@@ -1,7 +1,7 @@
-"""A scene from one camera: each part's Gaussians, and the camera as the part has it.
+"""A scene from one camera: the Gaussians of each part, and the camera in the coordinates of the part.
 
 Projecting a posed part equals projecting the part with its own camera, so no Gaussian is turned. Spherical
-harmonics are evaluated along the turned direction by themselves.
+harmonics are then evaluated along the direction in the part's coordinates.
 """
 
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""LiDARs: tables of rays from one point, drawn through a panorama."""
+"""LiDARs: tables of rays from one point, measured in a rendered panorama."""
 
 import math
 from dataclasses import dataclass, field

@@ -28,7 +28,7 @@ def observe(
     `vmap`. The function is traceable, and differentiable where the sensors are.
 
     Args:
-        scene: Gaussians, or a `Scene` of parts, in metres if the measurements shall be; see `in_metres`.
+        scene: Gaussians, or a `Scene` of parts, in metres for measurements in metres; see `in_metres`.
         rig: the cameras at their poses in the world, or one camera.
         sensors: what to measure, by names of your choice, such as {"depth": Depth()}.
         key: random key of the noise; None for measurements without noise.

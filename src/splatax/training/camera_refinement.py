@@ -50,12 +50,12 @@ class Placed(PerPhoto):
 class Poses(PerView):
     """Learns a twist for each training camera, multiplied to `cam_from_world` from the left.
 
-    A twist turns a camera about its own centre and translates it. Its six numbers are along the axes of
-    the world, in radians and extents of the scene. All cameras can turn, move and grow together with the
-    scene without changing any rendering (gauge freedom), and bend together almost without changing any. The
-    scene then leaves the held-out cameras, so the twists have neither a mean nor a part that is linear in the
-    place of the camera. With fewer photos than `MANY`, only the mean is held at zero. The common error of the
-    given poses remains; fixing one camera instead would make the others follow the error of that camera.
+    A twist turns a camera about its own centre and translates it. Its six numbers are along the axes of the
+    world, in radians and extents of the scene. All cameras can turn, move and grow together with the scene
+    without changing any rendering (gauge freedom), and bend together almost without changing any. The scene
+    then leaves the held-out cameras, so the twists have neither a mean nor a part that is linear in the place
+    of the camera. With fewer photos than `MANY`, only the mean is held at zero. An error that all given poses
+    share remains. Fixing one camera instead would propagate its error to the others.
     """
 
     WIDTH: ClassVar[int] = 6  # a rotation and a translation

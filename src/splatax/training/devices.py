@@ -4,7 +4,7 @@ Rows are dealt in blocks of `BLOCK`: block b belongs to device b mod D, so a sce
 Gaussians first stays balanced. What is done to a row depends on its block alone, never on D: XLA rounds
 elementwise work differently for arrays of other lengths, so work on rows is done in blocks of one length.
 
-This is the only file that knows where rows live.
+Only this file knows on which device a row is.
 """
 
 from collections.abc import Callable, Sequence

@@ -21,7 +21,7 @@ SMALLEST = 0.01  # size of Gaussians on coincident points, as a fraction of the 
 
 @dataclass(frozen=True)
 class FromPoints:
-    """Places a round Gaussian on each point, as large as its neighbours are far (Kerbl et al. 2023).
+    """Places a round Gaussian on each point, as large as the distance to its neighbours (Kerbl et al. 2023).
 
     Isolated points are left out: most are wrong matches, and they would become the largest Gaussians.
     """

@@ -1,4 +1,4 @@
-"""Weights of the training photos in the loss: photos that fit none of the rest count less."""
+"""Weights of the training photos in the loss: photos that do not fit the others get a lower weight."""
 
 import math
 from dataclasses import dataclass
@@ -50,7 +50,7 @@ class Losses(NamedTuple):
 class RobustWeights:
     """Lowers the weights of photos whose loss stays far above that of the others.
 
-    Such a photo has a wrong pose, belongs to another scene, or shows something that stood in front of it.
+    Such a photo has a wrong pose, belongs to another scene, or shows an object in front of the lens.
     The weight is (limit / ratio)^power, where the ratio is that of the photo's loss to the median photo's,
     and 1 up to the limit. The limit is `least`, or `spreads` robust standard deviations of the logarithm of
     all ratios if that is more. All photos count alike at first, while the scene still takes shape.

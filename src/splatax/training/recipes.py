@@ -41,7 +41,7 @@ from splatax.training.resolution import Resolution
 
 @dataclass(frozen=True)
 class ShSchedule:
-    """The degree of the spherical harmonics, and the steps after which their bands open."""
+    """The degree of the spherical harmonics, and the steps after which their bands are learned."""
 
     degree: int = 3  # 0 to 4
     every: int = 1_000  # steps; band l is learned after l times as many
@@ -184,8 +184,9 @@ def default(steps: int = 30_000, max_gaussians: int = 1_000_000, views: int = 1)
 def discs(steps: int = 30_000, max_gaussians: int = 1_000_000, views: int = 1) -> Recipe:
     """Returns `default` with the discs and the regularizers of 2DGS (Huang et al. 2024).
 
-    The Gaussians are exactly flat and drawn along rays. They start as large as their neighbours are far, and
-    their size is not penalized: one below the blur of a pixel gets no gradient that would let it grow again.
+    The Gaussians are exactly flat and drawn along rays. Their initial size is the distance to their
+    neighbours, and their size is not penalized: one below the blur of a pixel gets no gradient that would let
+    it grow again.
     """
     recipe = default(steps, max_gaussians, views)
     return replace(

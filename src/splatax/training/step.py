@@ -258,7 +258,7 @@ def image_loss(view: Shown, appearance: Any, target: Target, recipe: Recipe) -> 
     loss = objective.loss(image, photo, *counted(target, kernels.photometric))
     if not view.channels:
         return loss
-    # Drawn apart, so that `pull` tells what the photo misses, and kernels need not know it of so many.
+    # Drawn separately, so that `pull` has the gradient of the photo only, and of few channels.
     seen = unrolled(Seen(replace(view.splats, pull=None), None, target.camera))
     images = geometry.drawn(objective.geometry.outputs, view.channels, seen, kernels)
     known = TrainingView(target.camera, target.landmarks, target.progress)

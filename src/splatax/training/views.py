@@ -4,8 +4,8 @@
                           |  all-to-all                        ^
     drawer of views    draw, compare, d splats  -------- all-to-all back
 
-Whoever draws a view gets all of its splats in the order of the scene, and whoever owns a row gets its
-gradients from all views. Nothing is summed across devices but counts.
+The device that draws a view gets all of its splats in the order of the scene, and the device that owns a row
+gets its gradients from all views. Only counts are summed across devices.
 """
 
 from dataclasses import replace

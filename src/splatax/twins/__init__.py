@@ -3,7 +3,7 @@
 bridge.py        poses of bodies and cameras of MuJoCo, as transforms and cameras of splatax
 twin.py          `Twin`: a scene of parts, the cameras of a model, and their sensors
 environment.py   `TwinEnv`, an environment of gymnasium; it needs the packages of the extra "twins"
-locating.py      the pose of a part from one RGB-D frame, by gradient
+locating.py      the pose of a part from one RGB-D frame, by gradient descent
 messages.py      images, point clouds and poses as the fields of ROS 2 messages
 """
 

@@ -87,7 +87,7 @@ class TwinEnv(gymnasium.Env):
         """Starts an episode, and returns its first observation and no information.
 
         Args:
-            seed: of all randomness from now on; None to go on.
+            seed: of all randomness from now on; None to continue with the present random state.
             options: not used.
         """
         super().reset(seed=seed)

@@ -45,7 +45,7 @@ class Motion:
         used = np.unique(indices[weights > 0])
         if len(used) > MOST_BONES:
             raise FormatError(
-                f"{name}: {len(used)} joints carry Gaussians; a page has at most {MOST_BONES}. Write a film."
+                f"{name}: {len(used)} joints carry Gaussians; a page has at most {MOST_BONES}. Write a video."
             )
         bones = self._bones(place, used)
         return {

@@ -1,7 +1,7 @@
 """Loads the native library (C++, in `native/cpu/` of the repository) and calls it from JAX.
 
-There is a build for each instruction set beside this file. The builds know nothing of Python and link to
-nothing: XLA calls them as foreign functions.
+There is a build for each instruction set beside this file. The builds do not depend on Python or on other
+libraries: XLA calls them as foreign functions.
 """
 
 import ctypes
@@ -121,7 +121,7 @@ def library(instructions: str) -> ctypes.CDLL:
 
 
 def library_path(instructions: str) -> Path:
-    """Returns where a build lies."""
+    """Returns the path of a build."""
     return FOLDER / f"libsplatax_{instructions}{SUFFIX}"
 
 

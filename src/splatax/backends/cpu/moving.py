@@ -21,9 +21,9 @@ def move(
     block: int,
     build: Build,
 ) -> tuple[Gaussians, Moments]:
-    """Makes one step with all rows, in place where the caller gives the arrays away.
+    """Makes one step with all rows, in place if the caller donates the arrays.
 
-    Numbers without a gradient and moments are not written. Numbers below 2^-126 count as zero.
+    Parameters whose gradient and moments are zero are not written. Numbers below 2^-126 count as zero.
 
     Raises:
         ValueError: if arrays do not fit together.

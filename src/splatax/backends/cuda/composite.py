@@ -78,7 +78,7 @@ def _(library: Library, max_pairs: int, primals, tangents):
     drawn = _drawn(*primals, library, max_pairs)
     *_, words, checkpoints = drawn
     moved = _derivative(library, max_pairs, primals, drawn, tangents)
-    # The gradient's gradient computes the checkpoints anew, so their tangent is not used.
+    # The second derivative recomputes the checkpoints, so their tangent is not used.
     no_tangent = np.zeros(words.shape, jax.dtypes.float0)
     return drawn, (*moved, no_tangent, jnp.zeros_like(checkpoints))
 

@@ -1,4 +1,4 @@
-"""Drawn scenes by name. One scene is one file and one line here."""
+"""Synthetic scenes by name. A scene is one file and one line here."""
 
 from splatax.demo.scene import Scene
 from splatax.demo.scenes.glossy import GLOSSY

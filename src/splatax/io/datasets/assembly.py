@@ -1,4 +1,4 @@
-"""Turns a capture, in whatever format it came, into a data set of views."""
+"""Turns a capture of any format into a data set of views."""
 
 import os
 from collections.abc import Callable, Iterable
@@ -21,7 +21,7 @@ FAR = 1000  # times the size of the set of cameras: farther from the origin, flo
 def dataset_of(capture: Capture, downscale: int | None, undistort: bool) -> Dataset:
     """Returns the data set of a capture; see `load_dataset`.
 
-    All views are for training unless the capture's own files part them.
+    All views are for training unless the capture's own files define held-out ones.
 
     Raises:
         DatasetError: if no photo is there, a photo or a camera cannot be used, or all photos are held out.
@@ -195,7 +195,7 @@ def near_origin(capture: Capture, present: list[Frame]) -> tuple[Capture, list[F
     """Moves a capture in geographic coordinates near the origin, because scenes are in single precision.
 
     Returns:
-        The capture, its frames with photos, and a note that tells the shift, if there is one.
+        The capture, its frames with photos, and a note that states the shift, if there is one.
     """
     poses = np.stack([frame.cam_from_world for frame in present])
     if not np.isfinite(poses).all():

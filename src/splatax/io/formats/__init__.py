@@ -120,7 +120,7 @@ def save(path: str | Path, gaussians: Gaussians, *, comments: tuple[str, ...] = 
     if own != PLAIN and own not in module.KEPT_MARKS:
         trained = "trained with antialiasing" if own == MIP else "drawn along rays (2DGS)"
         warnings.warn(
-            f"{path}: the file cannot say that its scene was {trained}. What draws it must be told.",
+            f"{path}: the format cannot store that the scene was {trained}. Renderers must be told.",
             stacklevel=2,
         )
     return len(written)

@@ -1,4 +1,4 @@
-"""The pull on a Gaussian: how strongly pixels want its splat to be elsewhere, a mark of missing detail."""
+"""The pull on a Gaussian: the size of the gradient of its 2D mean, which is large where detail is missing."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float

@@ -1,4 +1,4 @@
-"""Relocation and growth by splitting: new Gaussians go where pixels pull hardest.
+"""Relocation and growth by splitting the Gaussians with the largest gradients of their 2D means.
 
 A copy that lies exactly on its parent gets the gradients of its parent, so the two stay together. Here the
 parent is split along its longest axis instead (Improved-GS, arXiv 2508.12313), and a parent

@@ -8,8 +8,8 @@ namespace {
 constexpr unsigned PORTABLE = 1;        // CU_MEMHOSTALLOC_PORTABLE: pinned for every GPU
 constexpr unsigned WITHOUT_TIMING = 2;  // CU_EVENT_DISABLE_TIMING
 
-// Pinned words, which are expensive to allocate and are used again. Never destroyed: threads of XLA may outlive
-// what is.
+// Pinned words, which are expensive to allocate and are used again. They are never destroyed, because threads of
+// XLA may still run when a program ends.
 std::mutex mutex;
 std::vector<uint32_t*>& spare_words = *new std::vector<uint32_t*>;
 

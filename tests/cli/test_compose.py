@@ -137,7 +137,7 @@ def test_a_page_is_told_everything(car, tmp_path):
         (('file = "body.ply"', ""), "'file' is missing"),
         (('show = ["front"]', 'show = ["hood"]'), "names part 'hood'"),
         (('part = "front"', 'part = "hood"'), "no part 'hood'"),
-        (("tint = [1, 0.5, 0.5]", "tint = [1, 1, 1]\ndye = [1, 1, 1]"), "more than one color"),
+        (("tint = [1, 0.5, 0.5]", "tint = [1, 1, 1]\ndye = [1, 1, 1]"), "more than one colour"),
         (('background = "white"', 'background = "sky"'), "background is 'sky', not black, white"),
         (("[start]", "[start"), "not a TOML file"),
         (("seconds = 5", "seconds = nan"), "[path] seconds is nan, not a duration above 0"),

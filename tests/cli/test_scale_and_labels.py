@@ -141,7 +141,7 @@ def test_label_images_that_do_not_fit_are_refused(capture, capsys):
     (capture / "labels" / "labels.txt").write_text("nothing\nleft\n")
     assert "2 names, but the label images have labels up to 2" in run()
     Image.new("RGB", (32, 24)).save(capture / "labels" / "p0.png")
-    assert "a picture of colors (RGB)" in run()
+    assert "a picture of colours (RGB)" in run()
     Image.new("L", (32, 20)).save(capture / "labels" / "p0.png")
     assert "other proportions" in run()
 

@@ -193,7 +193,7 @@ def test_what_the_scene_has_not_is_refused_with_the_name_of_the_page(viewer):
 
     with pytest.raises(sx.FormatError, match=r"car\.html: option 'red' of variant 'paint' names part 'hood'"):
         document(variants={"paint": {"red": Option(shows=("hood",))}})
-    with pytest.raises(sx.FormatError, match="both color part 'body'"):
+    with pytest.raises(sx.FormatError, match="both colour part 'body'"):
         document(variants={name: {"a": Option(colors={"body": SWAP})} for name in ("paint", "trim")})
     with pytest.raises(sx.FormatError, match="hotspot belongs to part 'hood'"):
         document(hotspots=(web.Hotspot((0.0, 0.0, 0.0), "x", "hood"),))

@@ -60,7 +60,7 @@ class Animate:
     repeat: Annotated[int, tyro.conf.arg(metavar="N")] = 1
     """Video: how many times to play the clip."""
     background: BackgroundOption = None
-    """Color behind the scene. By default black."""
+    """Colour behind the scene. By default black."""
     backend: BackendName = "auto"
     """Rendering backend. If the named one is unavailable, the command fails."""
     overwrite: OverwriteFlag = False
@@ -108,7 +108,7 @@ class Animate:
         size = self.out.stat().st_size / 1e6
         say(f"{self.out}: {len(scene.gaussians):,} Gaussians, the clip {clip.name}, {size:.1f} MB")
         if scene.gaussians.sh_degree:
-            say("note    the page does not rotate view-dependent color with the joints; videos do")
+            say("note    the page does not rotate view-dependent colour with the joints; videos do")
 
     def _film(self, scene: RiggedScene, clip: Clip) -> int:
         """Renders the video and returns its number of frames."""

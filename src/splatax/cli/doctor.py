@@ -25,7 +25,7 @@ TOLERANCE = 1e-4  # of the largest value: float32 sums over pixels in another or
 class Doctor:
     """Show devices, backends and versions, and test each backend on a small scene.
 
-    The test compares image and gradients with the reference. Exit code 1 if any differs.
+    The test compares image and gradients with the reference. The exit code is 1 if any differs.
     """
 
     def run(self) -> None:

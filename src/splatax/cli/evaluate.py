@@ -38,7 +38,7 @@ DECIMALS = {"psnr": 3, "ssim": 4, "corrected_psnr": 3, "lpips": 4}
 class Evaluate:
     """Score a scene on held-out photos of its capture: PSNR, SSIM, LPIPS, and errors of depth and normals.
 
-    Scores are of 8-bit images; masked pixels do not count. PSNR is also given after an affine color
+    Scores are of 8-bit images; masked pixels do not count. PSNR is also given after an affine colour
     correction, to compensate for exposure and white-balance differences. Depth and normals are compared with
     the true ones in CAPTURE/truth; without these, depth is compared with the points of structure from motion
     that the photos observe. Size, background and low-pass default to the settings of the run.
@@ -65,7 +65,7 @@ class Evaluate:
     """Divide the width and height of photos by this number. "auto": the smallest factor that brings the long
     side down to 1600 pixels. By default as in training, else "auto"."""
     background: BackgroundOption = None
-    """Color behind the scene. By default as in training, else black."""
+    """Colour behind the scene. By default as in training, else black."""
     low_pass: LowPassOption = None
     """Anti-aliasing filter. By default the one that the file names."""
     backend: BackendName = "auto"

@@ -63,7 +63,7 @@ class Export:
     )
     """Keep the inside of a box: its lowest x y z, then its highest."""
     crop_sphere: Annotated[tuple[float, float, float, float] | None, shown_as("X Y Z RADIUS")] = None
-    """Keep the inside of a sphere: its center and radius."""
+    """Keep the inside of a sphere: its centre and radius."""
     simplify: Annotated[int | float | None, shown_as("{N,FRACTION}")] = None
     """Reduce to this many Gaussians, or to this fraction of them, such as 0.5. Keeps the most important ones.
     With --scene: keeps the most visible ones, and tunes them on the capture's training photos."""
@@ -87,7 +87,7 @@ class Export:
     title: TextOption = None
     """Title of a page. By default the name of the model's folder or file."""
     background: BackgroundOption = None
-    """Color behind the scene, on a page. By default as in training, else black."""
+    """Colour behind the scene, on a page. By default as in training, else black."""
     downscale: DownscaleOption = None
     """Divide the width and height of photos by this number. "auto": the smallest factor that brings the long
     side down to 1600 pixels. By default as in training, else "auto"."""

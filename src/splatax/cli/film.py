@@ -26,10 +26,10 @@ class Film:
 
     Attributes:
         path: one of SHAPES, or a file of keyframes.
-        size: width and height of the color image, pixels; None for that of the capture's photos.
+        size: width and height of the colour image, pixels; None for that of the capture's photos.
         fps: frames per second.
         seconds: duration.
-        depth: whether to show depth, in colors, to the right.
+        depth: whether to show depth, in colours, to the right.
         background: RGB.
         backend: name of the backend.
     """

@@ -25,9 +25,9 @@ COLORS = {"error": "red", "warning": "yellow"}
 class Inspect:
     """Check a capture before training: list its contents, find problems and suggest fixes.
 
-    Forecasts the memory and the time that training would take here. Writes an HTML page that lists every
-    photo, with a plot of cameras and points. Without poses, only the photos themselves are checked. The exit
-    code is 1 if a problem would prevent training or ruin the result.
+    Forecasts the memory and the time that training would take on this machine. Writes an HTML page that lists
+    every photo, with a plot of cameras and points. Without poses, only the photos themselves are checked. The
+    exit code is 1 if a problem would prevent training or ruin the result.
     """
 
     scene: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")]

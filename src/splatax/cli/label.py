@@ -42,7 +42,7 @@ class Label:
     """Split a scene into parts by label images (masks) of its photos.
 
     Each Gaussian gets the label of the pixels that it fills most. DIR holds a label image for some or all
-    photos, NAME.png for NAME.jpg: integers in one gray channel or a palette, 0 for the background, 255 for
+    photos, NAME.png for NAME.jpg: integers in one grey channel or a palette, 0 for the background, 255 for
     pixels to ignore. DIR/labels.txt may name the labels, one a line, starting with 0. Label images of
     held-out photos do not vote; they measure the result.
     """

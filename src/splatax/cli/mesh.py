@@ -35,7 +35,7 @@ from splatax.mesh.files import suffix_of
 class Mesh:
     """Make a triangle mesh of the surfaces that the training cameras see.
 
-    Fuses the depth of the scene from all training cameras. The mesh has colors, and ends where fewer than
+    Fuses the depth of the scene from all training cameras. The mesh has colours, and ends where fewer than
     three cameras saw a surface; small disconnected pieces are removed. Train the scene with --geometry for
     better meshes; see docs/mesh.md.
     """
@@ -48,7 +48,7 @@ class Mesh:
     """Folder of the capture. By default the one that the run was trained on."""
     voxel: Annotated[Literal["auto"] | float, shown_as("{auto,LENGTH}")] = "auto"
     """Width of a voxel in world units: smaller details are lost. "auto", the default: the median width of a
-    pixel on the surface or, if it is larger, the median difference between the depths that neighboring
+    pixel on the surface or, if it is larger, the median difference between the depths that neighbouring
     cameras see."""
     depth: Annotated[Literal["auto", *DEPTHS], shown_as()] = "auto"  # type: ignore[valid-type]
     """Depth output of the scene to fuse. "auto", the default: the one that agrees best with the capture's
@@ -62,7 +62,7 @@ class Mesh:
     """Divide the width and height of the rendered depth by this number. "auto": the smallest factor that
     brings the long side down to 1600 pixels. By default as in training, else "auto"."""
     background: BackgroundOption = None
-    """Color behind the scene. By default as in training, else black."""
+    """Colour behind the scene. By default as in training, else black."""
     low_pass: LowPassOption = None
     """Anti-aliasing filter. By default the one that the file names."""
     backend: BackendName = "auto"
@@ -103,7 +103,7 @@ class Mesh:
         resolution = mesh.resolution_of(views)
         voxel = resolution.voxel * (mesh.COLLISION_COARSER if self.collision else 1)
         say(
-            f"voxels of {voxel:.4g}: a pixel is {resolution.pixel:.4g} wide, and depths of neighboring "
+            f"voxels of {voxel:.4g}: a pixel is {resolution.pixel:.4g} wide, and depths of neighbouring "
             f"cameras differ by {resolution.noise:.4g} (medians)"
         )
         return voxel

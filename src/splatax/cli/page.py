@@ -43,7 +43,7 @@ class Page:
     title: TextOption = None
     """Title of the page. By default the name of the model's folder or file."""
     background: BackgroundOption = None
-    """Color behind the scene. By default as in training, else black."""
+    """Colour behind the scene. By default as in training, else black."""
     low_pass: LowPassOption = None
     """Anti-aliasing filter. By default the one that the file names."""
     overwrite: OverwriteFlag = False

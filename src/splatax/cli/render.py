@@ -43,7 +43,7 @@ class Render:
     """Render images from the capture's cameras or, with --path, a video.
 
     Images: writes rgb/NAME.png, depth/NAME.npy (float32, world units along the optical axis, 0 where the
-    scene is empty) and depth/NAME.png, the depth in colors.
+    scene is empty) and depth/NAME.png, the depth in colours.
     """
 
     model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")]
@@ -63,14 +63,14 @@ class Render:
     seconds: Annotated[float | None, shown_as("SECONDS")] = None
     """Video: duration. By default 10."""
     depth: Annotated[bool, shown_as()] = False
-    """Video: show depth beside color."""
+    """Video: show depth beside colour."""
     split: Split = "test"
     """Images: cameras to render from. "test": those of the photos that were held out from training."""
     downscale: DownscaleOption = None
     """Divide the width and height of images by this number. "auto": the smallest factor that brings the long
     side down to 1600 pixels. By default as in training, else "auto"."""
     background: BackgroundOption = None
-    """Color behind the scene. By default as in training, else black."""
+    """Colour behind the scene. By default as in training, else black."""
     low_pass: LowPassOption = None
     """Anti-aliasing filter. By default the one that the file names."""
     backend: BackendName = "auto"

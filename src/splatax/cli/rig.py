@@ -115,7 +115,7 @@ class RigCommand:
     """Learn the weights, the rotations of the joints in each pose, or both, together with the Gaussians. Use
     it only if the given ones are inaccurate. By default none."""
     background: BackgroundOption = None
-    """Color behind photos with alpha. By default as the capture defines it, else random in training."""
+    """Colour behind photos with alpha. By default as the capture defines it, else random in training."""
     seed: Count = None
     """Random seed. By default 0."""
     checkpoint_every: Annotated[float | None, shown_as("SECONDS")] = None

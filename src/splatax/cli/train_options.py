@@ -52,7 +52,7 @@ class Photos:
     """Resample the photos for pinhole cameras before training. By default photos are used as they are, and
     the scene is trained through their lenses. Photos of a lens that splatax lacks are always resampled."""
     points: Annotated[Path | None, shown_as("FILE.ply")] = None
-    """Start from the colored points of this file instead of those of the capture."""
+    """Start from the coloured points of this file instead of those of the capture."""
     judged_by: Annotated[Path | None, shown_as("RUN")] = None
     """Quote the scores of another run of this capture in the report, for a run that holds out no photos."""
 
@@ -104,22 +104,22 @@ class Method:
 
     recipe: Annotated[RecipeName | None, shown_as()] = None
     """Preset of all training settings. "classic": Kerbl et al. 2023; "absgrad": Ye et al. 2024; "mcmc":
-    Kheradmand et al. 2024; "default", the default: the best known."""
+    Kheradmand et al. 2024; "2dgs": Huang et al. 2024; "default", the default: the best known results."""
     init: Annotated[InitName | None, shown_as()] = None
     """Initialize from the capture's points ("sfm", the default), or randomly inside the camera frusta. If a
     capture has no points, "sfm" finds some in the photos, and starts randomly only if that fails."""
     background: Annotated[BackgroundName | None, shown_as()] = None
-    """Color behind the scene and behind transparent photos. "random": a new color every step, which prevents
-    haze; evaluation uses black. By default white for Blender's scenes, random for the recipe "default", else
-    black."""
+    """Colour behind the scene and behind transparent photos. "random": a new colour every step, which
+    prevents haze; evaluation uses black. By default white for Blender's scenes, random for the recipe
+    "default", else black."""
     low_pass: Annotated[LowPassName | None, shown_as()] = None
     """Anti-aliasing filter. "dilation": as in 3DGS; "antialiasing": as in Mip-Splatting, keeps the brightness
     correct when zoomed out; "along-rays": exact in perspective, as in 2DGS. By default "along-rays" for the
     recipe "2dgs", else "dilation"."""
     appearance: Annotated[AppearanceName | None, shown_as()] = None
-    """Compensate for differences between photos. "exposure": learns an affine color map for each training
+    """Compensate for differences between photos. "exposure": learns an affine colour map for each training
     photo, for exposure and white balance. By default "auto": only if exposure differs much. Held-out photos
-    are compared as they are, and once more after a color correction."""
+    are compared as they are, and once more after a colour correction."""
     refine: Annotated[RefinementName | None, shown_as()] = None
     """Optimize the training cameras: their poses, focal lengths, lenses (focal lengths and distortion), or
     motion during the exposure (a rolling shutter). Use it only for what is inaccurate by a pixel or less;

@@ -51,7 +51,7 @@ class View:
     """Address to listen on. The default accepts connections from this machine only; 0.0.0.0 accepts
     connections from the network."""
     background: BackgroundOption = None
-    """Color behind the scene. By default as in training, else black."""
+    """Colour behind the scene. By default as in training, else black."""
     low_pass: LowPassOption = None
     """Anti-aliasing filter. By default the one that the file names."""
     backend: BackendName = "auto"

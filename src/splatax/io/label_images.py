@@ -35,12 +35,12 @@ def read(path: Path, width: int, height: int) -> Int[np.ndarray, "h w"]:
     A picture of another size but the same proportions is sampled at the nearest pixel.
 
     Raises:
-        DatasetError: if the picture is missing or damaged, has colors, or has other proportions.
+        DatasetError: if the picture is missing or damaged, has colours, or has other proportions.
     """
     with images.opened(path, "label image", "Make it again.") as image:
         if image.mode not in ("1", "L", "P", "I") and not image.mode.startswith("I;16"):
             raise DatasetError(
-                f"{path}: a picture of colors ({image.mode}). Labels are whole numbers: save it as one grey "
+                f"{path}: a picture of colours ({image.mode}). Labels are whole numbers: save it as one grey "
                 "channel or a palette."
             )
         eight = image.mode in ("1", "L", "P")

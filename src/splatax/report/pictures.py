@@ -1,4 +1,4 @@
-"""Pictures for reports: error maps, colored depth, and the animation of a run."""
+"""Pictures for reports: error maps, coloured depth, and the animation of a run."""
 
 import base64
 import io
@@ -29,7 +29,7 @@ def error_map(image: Picture, photo: Picture, mask: Mask | None = None) -> Pictu
 
 
 def depth_map(depth: Float[np.ndarray, "h w"], alpha: Float[np.ndarray, "h w"]) -> Picture:
-    """Returns depth as colors between its 2nd and 98th percentiles, near bright; black where it is empty."""
+    """Returns depth as colours between its 2nd and 98th percentiles, near bright; black where it is empty."""
     return shaded(depth, alpha, depth_range(depth, alpha))
 
 
@@ -47,7 +47,7 @@ def depth_range(
 def shaded(
     depth: Float[np.ndarray, "h w"], alpha: Float[np.ndarray, "h w"], limits: tuple[float, float] | None
 ) -> Picture:
-    """Returns depth as colors, from bright at the nearer limit to dark at the other; black if empty."""
+    """Returns depth as colours, from bright at the nearer limit to dark at the other; black if empty."""
     if limits is None:
         return np.zeros((*depth.shape, 3), np.uint8)
     near, far = limits
@@ -56,7 +56,7 @@ def shaded(
 
 
 def colored(values: Float[np.ndarray, "h w"], colormap: str) -> Picture:
-    """Returns values in [0, 1] as colors; others are clipped."""
+    """Returns values in [0, 1] as colours; others are clipped."""
     return matplotlib.colormaps[colormap](np.clip(values, 0, 1), bytes=True)[..., :3]
 
 

@@ -138,7 +138,7 @@ def unit(vector: Float[np.ndarray, "3"], otherwise: Float[np.ndarray, "3"]) -> F
 def window(
     cloud: Float[np.ndarray, "n 2"], cameras: Float[np.ndarray, "m 2"]
 ) -> tuple[Float[np.ndarray, "2"], float]:
-    """Returns center and half the side of a square around all cameras and most points."""
+    """Returns centre and half the side of a square around all cameras and most points."""
     corners = np.percentile(cloud, SHOWN, axis=0) if len(cloud) else cameras
     corners = np.concatenate([corners, cameras])
     low, high = corners.min(axis=0), corners.max(axis=0)

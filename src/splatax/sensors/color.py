@@ -1,4 +1,4 @@
-"""Color cameras: exposure, gain, shot noise, read noise, and motion blur."""
+"""Colour cameras: exposure, gain, shot noise, read noise, and motion blur."""
 
 from dataclasses import dataclass, field, replace
 
@@ -67,7 +67,7 @@ class MotionBlur:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Color(Plain):
-    """A color camera. Its measurement is an image [h w 3], display-referred (sRGB), in [0, 1].
+    """A colour camera. Its measurement is an image [h w 3], display-referred (sRGB), in [0, 1].
 
     Attributes:
         noise: exposure and noise; None for the picture as `render` draws it.

@@ -40,7 +40,7 @@ def image_fields(image: Any) -> dict[str, Any]:
         encoding = ENCODINGS.get(rows.dtype.str, "")
         if array.ndim != 2 or not encoding:
             raise InputError(
-                f"an image of {array.dtype} and shape {array.shape}. Give colors [h w 3], depths [h w], "
+                f"an image of {array.dtype} and shape {array.shape}. Give colours [h w 3], depths [h w], "
                 "millimetres of 16 bits, or labels of 32 bits."
             )
     height, width = rows.shape[:2]

@@ -139,7 +139,7 @@ def _read(file: Path, source: tuple[str, str | None], read: dict[tuple[str, str 
 def _color(where: str, row: Mapping[str, Any]) -> ColorMap | None:
     given = [key for key in ("tint", "dye", "matrix") if key in row]
     if len(given) > 1 or ("offset" in row and given != ["matrix"]):
-        raise ValueError(f"{where} has more than one color. Give tint, dye, or a matrix with an offset")
+        raise ValueError(f"{where} has more than one colour. Give tint, dye, or a matrix with an offset")
     if not given:
         return None
     if given == ["matrix"]:

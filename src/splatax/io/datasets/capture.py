@@ -121,7 +121,7 @@ def cloud(
     if not np.isfinite(positions).all():
         raise DatasetError(f"{path}: some points are at no finite place. Export the points again.")
     if not ((shades >= 0) & (shades <= 1)).all():
-        raise DatasetError(f"{path}: some points have colors out of range. Export the points again.")
+        raise DatasetError(f"{path}: some points have colours out of range. Export the points again.")
     return PointCloud(positions, shades.reshape(-1, 3))
 
 

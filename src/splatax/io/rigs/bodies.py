@@ -92,7 +92,7 @@ def _part(
     world = vertices @ placed[:3, :3].T + placed[:3, 3]
     colors = _colors(gltf, primitive, read("COLOR_0") if "COLOR_0" in attributes else np.ones((count, 3)))
     if len(colors) != count:
-        raise FormatError(f"{path}: damaged: not every vertex has a color. Get the file again.")
+        raise FormatError(f"{path}: damaged: not every vertex has a colour. Get the file again.")
     return Surface(world, corners.reshape(-1, 3), indices, weights, colors)
 
 

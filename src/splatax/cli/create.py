@@ -59,7 +59,7 @@ class Create:
     """
 
     images: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PHOTOS")]
-    """Folder of photos, a video, or a capture, which has camera poses already."""
+    """Folder of photos, a video, or a capture (photos with camera poses)."""
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     """Output folder."""
     title: TextOption = None

@@ -55,7 +55,8 @@ class Train:
 
     scene: Annotated[Path | None, tyro.conf.Positional, shown_as("CAPTURE")] = None
     """Folder of the capture, or a zip file of it: photos with a COLMAP model (images/ and sparse/0/),
-    transforms.json, or LLFF's poses_bounds.npy. For photos without poses, run splatax reconstruct first."""
+    transforms.json, or another layout that docs/capture.md lists. For photos without poses, run splatax
+    reconstruct first."""
     out: Annotated[Path | None, shown_as("FOLDER")] = None
     """Output folder. By default runs/NAME, with the name of the capture's folder."""
     title: Annotated[str | None, shown_as("TEXT")] = None

@@ -74,11 +74,12 @@ class Limits:
     machine's memory."""
     steps: Count = None
     """Number of training steps; each step uses one photo, or --views photos. By default as many as
-    --budget has time for, or for the recipes "classic", "absgrad" and "mcmc" 30,000, or 30 for each training
-    photo if that is more."""
+    --budget has time for; for other recipes than "default" 30,000, or 30 for each training photo if that is
+    more."""
     max_gaussians: Annotated[Literal["auto"] | int | None, shown_as("{auto,N}")] = None
-    """Upper limit of the number of Gaussians. "default" and "mcmc" always reach it; "classic" and "absgrad"
-    rarely do. By default "auto": as many as the photos have detail for, or 5,000,000 for the latter two."""
+    """Upper limit of the number of Gaussians. "classic" and "absgrad" rarely reach it; the other recipes
+    always do. By default "auto": as many as the photos have detail for, or 5,000,000 for "classic" and
+    "absgrad"."""
     downscale: Annotated[Downscale | None, shown_as("{auto,N}")] = None
     """Divide the width and height of photos by this number. By default "auto": the smallest factor that
     brings the long side down to 1600 pixels."""

@@ -44,7 +44,8 @@ def check_variants(scene: Scene, variants: Variants) -> None:
             for part in option.colors:
                 if colored.setdefault(part, variant) != variant:
                     raise ValueError(
-                        f"variants {colored[part]!r} and {variant!r} both colour part {part!r}. Let one do it."
+                        f"variants {colored[part]!r} and {variant!r} both colour part {part!r}. "
+                        "Let one do it."
                     )
 
 

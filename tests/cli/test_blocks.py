@@ -190,8 +190,8 @@ def moved(city):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ((), "Into how many blocks?"),
-        (("--blocks", 2, "--gaussians-per-block", 9), "Into how many blocks?"),
+        ((), "Give the number of blocks"),
+        (("--blocks", 2, "--gaussians-per-block", 9), "Give the number of blocks"),
         (("--blocks", 1), "--blocks: at least 2, not 1"),
         (("--blocks", 2, "--refine", "poses"), "--refine: each block"),
         (("--blocks", 2, "--steps", 0), "--steps: at least 1"),

@@ -70,7 +70,7 @@ def test_mistakes_are_refused_before_anything_is_rendered(wall, tmp_path, capsys
     lonely, _ = wall
     assert "no format of meshes. Write .ply" in refused(capsys, "mesh", lonely, tmp_path / "scene.stl")
     out = tmp_path / "scene.ply"
-    assert "wider than 0, not -1.0. See --voxel." in refused(capsys, "mesh", lonely, out, "--voxel", "-1")
+    assert "must be above 0, not -1.0. See --voxel." in refused(capsys, "mesh", lonely, out, "--voxel", "-1")
     assert "See --faces." in refused(capsys, "mesh", lonely, out, "--faces", "2")
     assert "--scene CAPTURE" in refused(capsys, "mesh", lonely, out)
     assert not out.exists()

@@ -176,5 +176,5 @@ def test_positions_of_points_are_finite(tmp_path):
     model = pycolmap.Reconstruction(capture / "sparse" / "0")
     model.add_point3D(np.array([np.nan, 0, 0]), pycolmap.Track(), np.zeros(3, np.uint8))
     model.write_binary(capture / "sparse" / "0")
-    with pytest.raises(DatasetError, match="at no finite place"):
+    with pytest.raises(DatasetError, match="coordinates that are not finite"):
         sx.load_dataset(capture)

@@ -213,7 +213,7 @@ def test_linear_light_of_srgb():
 def test_other_suffixes_and_sizes_are_refused(ball, tmp_path, views):
     with pytest.raises(InputError, match=r"ball\.stl: no format of meshes\. Write \.ply, \.glb, \.obj"):
         mesh.save(tmp_path / "ball.stl", ball)
-    with pytest.raises(InputError, match="wider than 0"):
+    with pytest.raises(InputError, match="width of a voxel must be above 0"):
         mesh.extract(views, -1.0)
     with pytest.raises(InputError, match="at least 4 faces"):
         mesh.extract(views, 0.1, faces=3)

@@ -107,7 +107,7 @@ class PlanBlocks:
     def check(self) -> None:
         """Raises InputError if the options exclude each other or make no sense."""
         if (self.blocks is None) == (self.gaussians_per_block is None):
-            raise InputError("Into how many blocks? Give either --blocks or --gaussians-per-block.")
+            raise InputError("Give the number of blocks, by either --blocks or --gaussians-per-block.")
         for name, least in (("blocks", 2), ("gaussians_per_block", 1)):
             value = getattr(self, name)
             if value is not None and value < least:

@@ -153,7 +153,7 @@ class Train:
         """
         settings.check()
         if settings.scene is None:
-            raise InputError("Which capture? Name its folder, or a run to resume: --resume RUN.")
+            raise InputError("No capture is given. Name its folder, or a run to resume: --resume RUN.")
         settings = settings.absolute()
         assert settings.scene
         judge = read_runs([settings.judged_by])[0] if settings.judged_by else None

@@ -43,7 +43,7 @@ def level(cameras: Sequence[Camera]) -> Similarity:
     """
     if np.linalg.norm(rig.tops_of(cameras).mean(axis=0)) < LEAST_AGREEMENT:
         raise InputError(
-            "The cameras were held in all directions, so none of them is up. Give a rotation instead."
+            "The cameras were held in all directions, so they do not tell which way is up. Give a rotation."
         )
     up = rig.up_of(cameras)
     axis = np.cross(up, UP)

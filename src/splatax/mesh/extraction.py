@@ -69,9 +69,11 @@ def check(voxel: float | None, faces: int | None) -> None:
     """
     needed()
     if voxel is not None and not 0 < voxel < np.inf:
-        raise InputError(f"A voxel is wider than 0, not {voxel}.", options=("voxel",))
+        raise InputError(f"The width of a voxel must be above 0, not {voxel}.", options=("voxel",))
     if faces is not None and faces < LEAST_FACES:
-        raise InputError(f"A mesh has at least {LEAST_FACES} faces, not {faces}.", options=("faces",))
+        raise InputError(
+            f"The number of faces must be at least {LEAST_FACES}, not {faces}.", options=("faces",)
+        )
 
 
 def simplified(mesh: Mesh, faces: int) -> Mesh:

@@ -50,7 +50,7 @@ def facts_of(found: Examination) -> list[tuple[str, str]]:
     if found.coverage:
         facts.append(("masks", f"{np.mean(list(found.coverage.values())):.0%} of pixels count"))
     if len(found.looks) < len(found.photos):
-        facts.append(("looked at", f"{len(found.looks)} of {len(found.photos)} photos, for lack of time"))
+        facts.append(("examined", f"{len(found.looks)} of {len(found.photos)} photos, within the time limit"))
     if found.memory:
         free = f", {found.available / 1e9:.1f} GB are free here" if found.available else ""
         forecast = f"about {found.memory / 1e9:.1f} GB for {found.gaussians:,} Gaussians, as by default{free}"

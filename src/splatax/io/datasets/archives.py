@@ -107,5 +107,5 @@ def too_large(path: Path, limit: int) -> DatasetError:
     """Returns the error about an archive that would fill the disk."""
     return DatasetError(
         f"{path}: it unpacks to more than {limit / 1e9:.1f} GB or {MOST_FILES:,} files, too much for the "
-        "disk or for what it is. If that is right, unpack it yourself and give the folder."
+        "disk or for an archive of its size. If that is right, unpack it yourself and give the folder."
     )

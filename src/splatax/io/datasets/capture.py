@@ -119,7 +119,9 @@ def cloud(
         positions = np.asarray(positions, np.float32).reshape(-1, 3)
         shades = np.full_like(positions, 0.5) if colors is None else np.asarray(colors, np.float32)
     if not np.isfinite(positions).all():
-        raise DatasetError(f"{path}: some points are at no finite place. Export the points again.")
+        raise DatasetError(
+            f"{path}: some points have coordinates that are not finite. Export the points again."
+        )
     if not ((shades >= 0) & (shades <= 1)).all():
         raise DatasetError(f"{path}: some points have colours out of range. Export the points again.")
     return PointCloud(positions, shades.reshape(-1, 3))

@@ -165,7 +165,7 @@ def point_cloud(path: Path, model: "pycolmap.Reconstruction") -> PointCloud:
     positions = np.array([point.xyz for point in points], np.float32).reshape(-1, 3)
     if not np.isfinite(positions).all():
         raise DatasetError(
-            f"{path}: some points of the COLMAP model are at no finite place. Run COLMAP again."
+            f"{path}: some points of the COLMAP model have coordinates that are not finite. Run COLMAP again."
         )
     colors = np.array([point.color for point in points], np.float32).reshape(-1, 3) / 255
     return PointCloud(positions, colors)

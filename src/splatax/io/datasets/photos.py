@@ -169,7 +169,7 @@ def check_camera(path: Path, camera: "pycolmap.Camera", cam_from_world: Float[np
         )
     if not np.isfinite(pose).all():
         raise DatasetError(
-            f"{path}: its pose is not one of finite numbers. Find the poses again, or remove the photo."
+            f"{path}: its pose has numbers that are not finite. Find the poses again, or remove the photo."
         )
 
 

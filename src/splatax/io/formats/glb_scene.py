@@ -178,7 +178,9 @@ def accessor(path: Path, gltf: dict[str, Any], buffer: bytes, index: int) -> np.
     accessor = gltf["accessors"][index]
     view = gltf["bufferViews"][accessor["bufferView"]]
     if accessor.get("sparse") or view.get("buffer", 0) != 0 or "uri" in gltf["buffers"][0]:
-        raise FormatError(f"{path}: keeps numbers outside the file or sparsely, which splatax does not read.")
+        raise FormatError(
+            f"{path}: stores arrays in another file or as sparse accessors, which splatax does not read."
+        )
     dtype, width, count = (
         np.dtype(TYPES[accessor["componentType"]]),
         WIDTHS[accessor["type"]],

@@ -15,7 +15,7 @@ from pathlib import Path
 if "SPLATAX_OPTIMIZED" not in os.environ:
     little = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
     if version("jaxlib").startswith("0.10."):  # XLA ends a process that names a flag it does not know
-        little += " --xla_cpu_use_fusion_emitters=false"
+        little += " --xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {little}".strip()
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     os.environ["JAX_COMPILATION_CACHE_DIR"] = tempfile.mkdtemp(prefix="splatax-programs-")

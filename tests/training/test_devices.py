@@ -4,7 +4,7 @@ import re
 import socket
 import subprocess
 import sys
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import jax
@@ -44,6 +44,7 @@ def results(output):
     return {int(devices): rest.split() for devices, rest in re.findall(r"run (\d+) (.*)", output)}
 
 
+@cache
 def trained(*arguments):
     found = subprocess.run(
         program(*arguments),
@@ -55,29 +56,30 @@ def trained(*arguments):
     return results(found.stdout)
 
 
+ON_EACH = ("default", "--devices", "1", "2", "8")
+
+
 @needs_cpu
-@pytest.mark.parametrize(
-    "options",
-    [
-        pytest.param(("default",), id="default"),
-        pytest.param(("default", "--geometry"), id="geometry", marks=pytest.mark.slow),
-        pytest.param(
-            ("classic", "--per-photo"), id="classic with exposures and poses", marks=pytest.mark.slow
-        ),
-    ],
-)
-def test_scene_and_moments_are_the_same_bits_on_1_2_and_8_devices(options):
-    found = trained(*options, "--devices", "1", "2", "8")
+def test_scene_and_moments_are_the_same_bits_on_1_2_and_8_devices():
+    found = trained(*ON_EACH)
     assert len(found) == 3
     assert found[1] == found[2] == found[8]
     assert int(found[1][0]) > 80, "the scene must have grown, so that refinement is part of the comparison"
 
 
 @needs_cpu
+@pytest.mark.slow
+def test_all_parts_of_a_recipe_together_have_the_same_bits_on_1_and_8_devices():
+    """Penalties on surfaces, exposures, poses and weights of photos in one run."""
+    found = trained("classic", "--per-photo", "--geometry", "--devices", "1", "8")
+    assert found[1] == found[8]
+    assert int(found[1][0]) > 80
+
+
+@needs_cpu
 def test_a_run_resumes_on_another_number_of_devices_with_the_same_bits():
-    whole = trained("default", "--devices", "8")
     resumed = trained("default", "--resume", "--devices", "2", "8")
-    assert whole[8] == resumed[8]
+    assert trained(*ON_EACH)[8] == resumed[8]
 
 
 @needs_cpu
@@ -93,7 +95,6 @@ def test_two_processes_of_four_devices_train_the_same_bits_as_one_of_eight():
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = str(free.getsockname()[1])
-    alone = trained("default", "--devices", "8")
     both = [
         subprocess.Popen(
             program("default", "--host", port, "2", index),
@@ -105,7 +106,7 @@ def test_two_processes_of_four_devices_train_the_same_bits_as_one_of_eight():
     ]
     outputs = [process.communicate()[0] for process in both]
     assert [process.returncode for process in both] == [0, 0]
-    assert results(outputs[0]) == results(outputs[1]) == alone
+    assert results(outputs[0]) == results(outputs[1]) == {8: trained(*ON_EACH)[8]}
 
 
 def test_training_on_several_views_a_step_learns():

@@ -51,7 +51,7 @@ class Adjustment:
     Attributes:
         given: the views as they were given.
         views: the views with the cameras to use.
-        lenses: corrections of lenses, by the names of views; empty if poses alone were adjusted.
+        lenses: corrections of lenses, by the names of views; empty if only poses were adjusted.
         before: median reprojection error of the held-out tracks with the given cameras, pixels.
         after: the same with the adjusted cameras.
         motion: median distance by which the tracks move in the photos from given to adjusted cameras, pixels.

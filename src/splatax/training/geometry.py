@@ -203,7 +203,7 @@ def drawn(
     """Returns the outputs by their names.
 
     Args:
-        outputs: made of blended channels alone.
+        outputs: made of blended channels only.
         channels: theirs, by name.
         seen: the painted splats and the camera.
         kernels: that blend.

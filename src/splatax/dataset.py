@@ -184,7 +184,7 @@ class Dataset:
     def extent(self) -> float:
         """Size of the scene, world units; see `cameras.rig.extent_of` of the training cameras.
 
-        It is computed once: it takes 0.1 ms a camera.
+        It is computed once: it takes 0.1 ms per camera.
         """
         return rig.extent_of([view.camera for view in self.train], self.points.positions)
 

@@ -46,7 +46,7 @@ def devices_for(views: int, devices: Sequence[jax.Device] | None = None) -> Mesh
     count = max(d for d in range(1, min(len(found), views) + 1) if views % d == 0)
     if count != len(found) and (devices is not None or jax.process_count() > 1):
         raise ValueError(
-            f"{views} views a step do not divide among {len(found)} devices. Choose a multiple "
+            f"{views} views per step do not divide among {len(found)} devices. Choose a multiple "
             f"of {len(found)} views, or give {count} devices."
         )
     return Mesh(np.array(found[:count]), (AXIS,), axis_types=(AxisType.Auto,))

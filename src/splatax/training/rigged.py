@@ -28,7 +28,7 @@ from splatax.training.resolution import Resolution
 from splatax.training.rigged_step import Fixed, Learned, RigState, first_state, rig_step
 from splatax.training.schedule import Schedule
 
-POSE_RATE = 5e-3  # radians a step, at the start
+POSE_RATE = 5e-3  # radians per step, at the start
 WEIGHT_RATE = 0.02  # of the logarithms, a step, at the start
 
 
@@ -118,9 +118,8 @@ def optimize_rig(
         learned: what is learned beside the Gaussians.
 
     Raises:
-        DatasetError: if there are no training photos, or one has no pose.
-        ValueError: if the recipe has several views a step, which this trainer does not make, or no steps are
-            left.
+        DatasetError: if there are no training photos, or one has no pose. ValueError: if the recipe has
+            several views per step, which this trainer does not make, or no steps are left.
     """
     if recipe.views != 1 or recipe.steps < 1:
         raise ValueError(

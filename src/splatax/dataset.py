@@ -203,7 +203,7 @@ def hold_out(views: Sequence[View], rule: HoldOut = Every()) -> tuple[tuple[View
 
     Args:
         views: views in any order.
-        rule: which to hold out.
+        rule: chooses the views to hold out.
 
     Raises:
         InputError: if the rule leaves no view to train on, or names a photo that is not there.
@@ -224,7 +224,7 @@ def photos_by(rule: HoldOut, views: Sequence[View]) -> set[str]:
     """Returns the names of the photos that a rule chooses.
 
     Args:
-        rule: which; a list may name a 360-degree photo or any of its faces.
+        rule: the rule; a list may name a 360-degree photo or any of its faces.
         views: all views, sorted by name.
 
     Raises:

@@ -134,7 +134,7 @@ def save_scene(
     Args:
         path: path of the file, which ends in .glb.
         scene: the scene; with variants, all parts are as without them.
-        variants: what can be chosen.
+        variants: the options to choose from.
         comments: lines to keep with the scene, beside the one that names its filter.
 
     Returns:

@@ -116,7 +116,7 @@ def adjusted_cameras(
 
     Args:
         views: views with cameras that are accurate to several pixels, apart from what is free.
-        free: what is adjusted: "poses"; "poses+focal", also the focal lengths of each lens;
+        free: the parameters to adjust: "poses"; "poses+focal", also the focal lengths of each lens;
             "poses+distortion", also its distortion; or "poses+lens", all of these. A pinhole, or a lens of
             OpenCV's, gets k1 and k2, and p1 and p2 if they or the difference of its focal lengths are not
             zero.

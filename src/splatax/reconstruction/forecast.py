@@ -26,7 +26,7 @@ def seconds_left(feature_seconds: float, found: int, count: int, pairing: Pairin
     """Returns about how long the rest of a reconstruction takes.
 
     Args:
-        feature_seconds: that finding the features of one picture took.
+        feature_seconds: time that finding the features of one picture took.
         found: pictures whose features are found.
         count: all pictures, which are photos and faces of 360-degree photos.
         pairing: selection of pairs to match.

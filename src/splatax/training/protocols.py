@@ -58,7 +58,7 @@ class DensityUpdate:
     Attributes:
         gaussians: the living Gaussians first, then empty slots.
         count: number of living Gaussians.
-        lineage: where each row comes from.
+        lineage: origin of each row.
         state: of the strategy, for the new rows.
     """
 

@@ -37,7 +37,7 @@ class RigRun:
     """A run between two steps, from which `optimize_rig` can continue it.
 
     Attributes:
-        train: what the steps change. The next step donates it: it cannot be used afterwards.
+        train: the state that the steps change. The next step donates it: it cannot be used afterwards.
         count: number of Gaussians.
         rig: the rig that the run was started with, for its skeleton.
     """
@@ -115,7 +115,7 @@ def optimize_rig(
             donated: it cannot be used afterwards.
         poses: poses of the skeleton by name.
         pose_of: name of the pose in each training photo, by the photo's name.
-        learned: what is learned beside the Gaussians.
+        learned: learning rates of the poses and the weights.
 
     Raises:
         DatasetError: if there are no training photos, or one has no pose. ValueError: if the recipe has

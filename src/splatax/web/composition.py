@@ -46,7 +46,7 @@ class Composition:
 
     Attributes:
         scene: all parts; `scene.chosen` applies the variants to it.
-        presentation: what its page offers.
+        presentation: the offers of its page.
         title: title of the page.
         background: display-referred RGB behind the scene.
     """

@@ -1,4 +1,4 @@
-# Each target makes its own environment first; nothing needs to be installed but Python 3.11 or newer.
+# Each target first makes its own environment. The only requirement is Python 3.11 or newer.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -6,13 +6,13 @@ READY := $(VENV)/.ready
 
 .PHONY: demo test slow lint fuzz sanitize bench gpu-check page clean
 
-demo: $(READY)  ## trains on a small capture that it makes itself, and prints where the page of the scene is
+demo: $(READY)  ## renders a small synthetic capture, trains on it, and prints the path of the scene's page
 	$(BIN)/splatax demo --out runs/demo --overwrite
 
-test: $(READY)  ## all tests but those of `make slow`
+test: $(READY)  ## runs all tests except those of `make slow`
 	$(BIN)/python -m pytest --numprocesses auto --dist worksteal -m "not slow and not other_build"
 
-slow: $(READY)  ## tests that take many seconds each, such as whole commands on real captures, and builds for other CPUs
+slow: $(READY)  ## runs the tests that take many seconds each, such as whole commands on real captures, and those of builds for other CPUs
 	$(BIN)/python -m pytest --numprocesses auto --dist worksteal -m "slow or other_build"
 
 FUZZ_SECONDS ?= 60
@@ -24,9 +24,10 @@ lint: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# Most of the time goes to XLA's compiler, whose memory is watched too: so it shall do little, and little
-# is remembered of its allocations. What is built for AVX2 is the baseline with wider vectors, and a
-# low-pass is but a number there. Without a number, --parallel would compile all files at once.
+# Most of the time is spent in XLA's compiler, whose memory accesses are checked too. It therefore runs with few
+# optimizations, and sanitizers keep short stack traces and a small quarantine. The AVX2 build is not tested, because it
+# is the baseline with wider vectors, and only one low-pass filter is, because native code gets it as a number. Without a
+# number of jobs, --parallel would compile all files at once.
 SANITIZED := build/sanitize
 HEADERS := build/headers
 JAXLIB := $(shell sed -n 's/.*"\(jaxlib==[^"]*\)".*/\1/p' pyproject.toml)
@@ -39,7 +40,7 @@ sanitize: $(READY) $(HEADERS)/.ready  ## runs the tests of the native library un
 	  $(BIN)/python -m pytest tests/contracts tests/backends tests/bench --numprocesses auto --dist worksteal \
 	    -k "(test_cpu or cpu-avx512 or cpu-baseline or drawn_slots or peak) and not low_pass1" -m "not slow"
 
-# The jaxlib whose headers the library is built with, beside the one that the tests run.
+# The jaxlib whose headers the library is built with. The tests run with the installed one.
 $(HEADERS)/.ready: pyproject.toml | $(READY)
 	$(BIN)/python -m pip install --quiet --no-deps --no-compile --upgrade --target $(HEADERS) '$(JAXLIB)'
 	touch $@
@@ -47,10 +48,10 @@ $(HEADERS)/.ready: pyproject.toml | $(READY)
 bench: $(READY)  ## times the renderer and writes runs/bench
 	$(BIN)/splatax bench --out runs/bench
 
-# It neither builds nor installs, so that it runs on a GPU machine without network: splatax and what it needs must be
-# installed for $(GPU_PYTHON).
+# The target gpu-check neither builds nor installs anything, so that it runs on a GPU machine without network. splatax
+# and its dependencies must be installed for $(GPU_PYTHON).
 GPU_PYTHON ?= python3
-gpu-check:  ## tells whether the CUDA backend is right and how fast it is on this GPU; writes runs/gpu-check
+gpu-check:  ## checks the CUDA backend on this GPU and measures its speed; writes runs/gpu-check
 	PYTHONPATH=src:tests $(GPU_PYTHON) -m gpu_check --out runs/gpu-check
 
 VIEWER := src/splatax/web/viewer.js

@@ -1,4 +1,4 @@
-"""What must work where only jax, optax, jaxtyping and numpy are installed: python minimal.py [ARRAYS.npz]
+"""The part of splatax that works with only jax, optax, jaxtyping and numpy: python minimal.py [ARRAYS.npz]
 
 With a path, also trains, and writes the picture and the gradients that it has checked.
 """

@@ -1,4 +1,4 @@
-"""Poses adjusted to photos: errors of a few pixels vanish, right poses stay, and the scene is not touched."""
+"""Poses adjusted to photos: small errors are corrected, right poses stay, the scene is unchanged."""
 
 from dataclasses import replace
 

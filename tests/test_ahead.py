@@ -1,4 +1,4 @@
-"""Work ahead of the caller: in order, not too far, and with its errors in their place."""
+"""Work ahead of the caller: in order, not too far ahead, and with errors raised at their item."""
 
 import time
 

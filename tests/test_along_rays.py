@@ -1,4 +1,4 @@
-"""Gaussians and discs drawn along rays, against their density itself and against surfaces."""
+"""Gaussians and discs drawn along rays, compared with their density and with known surfaces."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Versions of XLA's interface to foreign functions: what is built, what is refused, and what that breaks."""
+"""Versions of XLA's interface to foreign functions: those that are built and those that are refused."""
 
 import os
 import shutil

@@ -1,4 +1,4 @@
-"""Scores: what they undo, what they leave out, and what they say."""
+"""Scores: colour correction, masks, and their descriptions."""
 
 import numpy as np
 import pytest

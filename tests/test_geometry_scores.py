@@ -1,4 +1,4 @@
-"""Errors of depth and normals of a wall whose place is known."""
+"""Errors of depth and normals of a wall whose position is known."""
 
 from dataclasses import replace
 

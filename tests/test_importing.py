@@ -1,4 +1,4 @@
-"""What `import splatax` reaches, how fast, and with which packages."""
+"""The names that `import splatax` gives, the time that it takes, and the packages that it needs."""
 
 import ast
 import importlib

@@ -1,4 +1,4 @@
-"""What users install: a wheel with the native library, or one without where nothing can build it."""
+"""Installed packages: a wheel with the native library, or one without if it cannot be built."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""Projection against plain linear algebra, finite differences, and the edges of what can be drawn."""
+"""Projection, compared with linear algebra and finite differences, and its limits."""
 
 from dataclasses import replace
 

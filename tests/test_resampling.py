@@ -1,4 +1,4 @@
-"""Photos and masks of another size."""
+"""Photos and masks that are resized."""
 
 import numpy as np
 from numpy.testing import assert_array_equal

@@ -1,4 +1,4 @@
-"""A scene that is turned, scaled and moved shows a camera that goes along the same picture."""
+"""A scene and a camera that are transformed together give the same image."""
 
 import jax
 import jax.numpy as jnp

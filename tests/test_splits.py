@@ -1,4 +1,4 @@
-"""Which photos are held out."""
+"""Rules that choose the held-out photos."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Planes of Gaussians, and normals of depth images, on surfaces that can be written down."""
+"""Planes of Gaussians, and normals of depth images, compared with analytic surfaces."""
 
 from dataclasses import replace
 

@@ -184,7 +184,7 @@ class Dataset:
     def extent(self) -> float:
         """Size of the scene, world units; see `cameras.rig.extent_of` of the training cameras.
 
-        It is computed once: it takes 0.1 ms a camera.
+        It is computed once: it takes 0.1 ms per camera.
         """
         return rig.extent_of([view.camera for view in self.train], self.points.positions)
 
@@ -203,7 +203,7 @@ def hold_out(views: Sequence[View], rule: HoldOut = Every()) -> tuple[tuple[View
 
     Args:
         views: views in any order.
-        rule: which to hold out.
+        rule: chooses the views to hold out.
 
     Raises:
         InputError: if the rule leaves no view to train on, or names a photo that is not there.
@@ -224,7 +224,7 @@ def photos_by(rule: HoldOut, views: Sequence[View]) -> set[str]:
     """Returns the names of the photos that a rule chooses.
 
     Args:
-        rule: which; a list may name a 360-degree photo or any of its faces.
+        rule: the rule; a list may name a 360-degree photo or any of its faces.
         views: all views, sorted by name.
 
     Raises:

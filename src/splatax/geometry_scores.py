@@ -98,7 +98,7 @@ class GeometryScores:
 def best_depth(gaussians: Gaussians, views: Sequence[View], renderer: Renderer = Renderer()) -> str:
     """Returns the output whose depth agrees best with the landmarks of some views.
 
-    It is "median_depth" if there are no landmarks. Scenes that were trained for photos alone have the best
+    It is "median_depth" if there are no landmarks. Scenes that were trained only on colours have the best
     depth in "median_depth"; those that were trained for surfaces have it in the depths of surfaces.
     """
     chosen = views[:: -(-len(views) // ENOUGH) or 1]

@@ -47,7 +47,7 @@ class Output:
     Attributes:
         finish: computes the output.
         channels: returns what to blend, one row for each splat; None to blend nothing.
-        selected: the number of contributors to find for each pixel, 0 for the median alone; None for neither.
+        selected: the number of contributors to find for each pixel, 0 for the median only; None for neither.
     """
 
     finish: Callable[[Drawn], Any]

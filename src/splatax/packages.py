@@ -21,7 +21,7 @@ def required_by(part: str, extra: str | None = None) -> Iterator[None]:
     """Says which package to install if an import inside the block does not find its module.
 
     Args:
-        part: what needs the package, as the subject of the message, for example "splatax.load_dataset".
+        part: name of what needs the package, which begins the message, for example "splatax.load_dataset".
         extra: the optional dependencies of splatax that hold the package, if users need all of them.
 
     Raises:

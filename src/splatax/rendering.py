@@ -257,7 +257,7 @@ def _blended(
         view: the view.
         channels: what to blend, by name.
         parts: the name of the channels of the scene's parts; None if they are not among the channels.
-        counts: for each output that needs them, how many splats to select; 0 for the median alone.
+        counts: for each output that needs them, how many splats to select; 0 for the median only.
         kernels: the backend.
 
     Returns:

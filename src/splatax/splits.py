@@ -55,7 +55,7 @@ class Listed:
 
     Attributes:
         names: names of photos, with or without their suffix.
-        source: where the list comes from, for messages.
+        source: origin of the list, for messages.
     """
 
     names: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""What is particular to the native rasterizer: threads, rounds, and input that nobody should pass."""
+"""Tests of the native rasterizer only: threads, rounds, and malformed input."""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace

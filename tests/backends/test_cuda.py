@@ -1,4 +1,4 @@
-"""What is particular to the CUDA backend, on an emulated GPU: order of threads, rounds, malformed input."""
+"""Tests of the CUDA backend only, on an emulated GPU: order of threads, rounds, malformed input."""
 
 import ctypes.util
 import importlib.util

@@ -1,4 +1,4 @@
-"""Where the CUDA backend is chosen, what it says elsewhere, and programs for GPUs of other machines."""
+"""Selection of the CUDA backend, reasons why it is unavailable, and programs for GPUs of other machines."""
 
 import re
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The emulation and the sanitizers find mistakes in kernels: first none, then those that are planted here.
+"""The emulation and the sanitizers find no errors in the kernels, and find those that are inserted here.
 
 The kernels run without JAX, in a program that gives each array memory of its own:
 `native/emulation/standalone.cc`.

@@ -1,4 +1,4 @@
-"""What is particular to the portable rasterizer."""
+"""Tests of the portable rasterizer only."""
 
 import jax
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""The stopwatch, and the scenes that it times."""
+"""The timing of operations, and the scenes that it times."""
 
 import numpy as np
 import pytest

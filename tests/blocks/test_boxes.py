@@ -1,4 +1,4 @@
-"""Boxes share out the ground plane."""
+"""Boxes divide the ground plane: each point is in exactly one."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The context of a block is drawn with it, and neither learned nor refined."""
+"""The context of a block is drawn with it, and is neither learned nor changed by density control."""
 
 from dataclasses import replace
 

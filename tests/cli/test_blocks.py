@@ -1,4 +1,4 @@
-"""`splatax blocks`: a plan, runs of its blocks, and their merger."""
+"""`splatax blocks`: a plan, runs of its blocks, and their merging."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""The commands on a tiny capture: what they write, and that they agree with each other."""
+"""The commands on a tiny capture: the files that they write, and that these agree with each other."""
 
 import json
 import subprocess

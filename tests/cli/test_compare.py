@@ -1,4 +1,4 @@
-"""Runs side by side, and runs that must not be."""
+"""`splatax compare`: runs side by side, and refusals of runs that cannot be compared."""
 
 import json
 import re

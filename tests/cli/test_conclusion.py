@@ -1,4 +1,4 @@
-"""Training that is done is not lost, whatever happens while its results are written."""
+"""Finished training is not lost if writing its results fails or is interrupted."""
 
 import errno
 import json

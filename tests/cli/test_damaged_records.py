@@ -1,4 +1,4 @@
-"""Records that anybody may have edited: a command that reads a damaged one says so in a sentence."""
+"""Commands that read a damaged record print one sentence that names it."""
 
 import json
 import shutil

@@ -1,4 +1,4 @@
-"""`splatax demo`: a page out of nothing."""
+"""`splatax demo`: a page without any data."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""The doctor sees what is there, and what is wrong with it."""
+"""`splatax doctor` lists all backends, and finds a wrong one."""
 
 from dataclasses import replace
 

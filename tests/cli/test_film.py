@@ -1,4 +1,4 @@
-"""`splatax render --path`: films that hold what was asked for, and refusals."""
+"""`splatax render --path`: videos with the requested contents, and refusals."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Runs that are to keep within a given memory."""
+"""Runs with a limit of memory."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""What reaches the terminal, and what happens when nothing can."""
+"""Output to the terminal, and commands whose output cannot be written."""
 
 import ast
 import os

@@ -1,4 +1,4 @@
-"""What training decides after a look at a capture, and captures without points."""
+"""Decisions of training about a capture, and captures without points."""
 
 import json
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Bad input: one sentence with the path and the way out, exit code 2, no traceback, nothing lost."""
+"""Bad input: one sentence with the path and a fix, exit code 2, no traceback, no lost files."""
 
 import shutil
 

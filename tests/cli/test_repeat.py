@@ -1,4 +1,4 @@
-"""Runs that are made again from their config.json."""
+"""Runs that are repeated from their config.json."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""A run that was stopped, whatever by, and gone on with ends with the same bytes as one that was not."""
+"""A run that was stopped and resumed ends with the same bytes as an uninterrupted one."""
 
 import errno
 import json

@@ -1,4 +1,4 @@
-"""`splatax rig`, `bind` and `animate`: from photos of a body in known poses to a film."""
+"""`splatax rig`, `bind` and `animate`: from photos of a body in known poses to a video."""
 
 import json
 import shutil

@@ -1,4 +1,4 @@
-"""Training as the command line watches it."""
+"""Training sessions as the command line uses them."""
 
 import os
 import signal

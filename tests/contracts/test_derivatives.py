@@ -1,4 +1,4 @@
-"""Both modes of differentiation of every backend, and what JAX makes of them."""
+"""Both modes of differentiation of every backend, and the transformations that JAX builds on them."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What every splat format must do, whatever its bytes: keep the scene, and refuse what is broken."""
+"""The rules for every splat format: it keeps the scene, and refuses damaged files."""
 
 import resource
 from contextlib import contextmanager

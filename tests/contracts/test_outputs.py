@@ -1,4 +1,4 @@
-"""The outputs of `render` on every backend: values, derivatives, and that unwanted ones are not computed."""
+"""Outputs of `render` on every backend: values, derivatives, and that only requested ones are computed."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Scenes of parts equal their baked Gaussians on every backend, and all that places them is traced."""
+"""Scenes of parts equal their flattened Gaussians on every backend, and their poses are traced."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The loss of every backend must be what `splatax.losses` defines."""
+"""The loss of every backend equals the one that `splatax.losses` defines."""
 
 import jax
 import jax.numpy as jnp

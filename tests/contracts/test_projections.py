@@ -1,4 +1,4 @@
-"""The projection of every backend must do what `splatax.projection` defines."""
+"""The projection of every backend equals the one that `splatax.projection` defines."""
 
 from dataclasses import replace
 

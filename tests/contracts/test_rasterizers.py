@@ -1,4 +1,4 @@
-"""What the rasterizer of every backend must do. A new one enrols by its line in `backends.BACKENDS`."""
+"""The rules for the rasterizer of every backend. A line in `backends.BACKENDS` adds a new one."""
 
 from dataclasses import replace
 from functools import partial

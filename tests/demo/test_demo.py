@@ -1,4 +1,4 @@
-"""The demo: a capture as good as a real one, and a scene that proves the whole pipeline."""
+"""The demo: a capture like a real one, and a scene that tests the whole pipeline."""
 
 import json
 import os

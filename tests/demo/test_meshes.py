@@ -1,4 +1,4 @@
-"""Photos of meshes against what geometry says."""
+"""Photos of meshes, compared with analytic geometry."""
 
 import jax.numpy as jnp
 import numpy as np

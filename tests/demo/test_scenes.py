@@ -1,4 +1,4 @@
-"""Every drawn scene makes a capture, and the geometry that the ray caster gives is that of its photos."""
+"""Every synthetic scene makes a capture, and the true geometry of the ray caster is that of its photos."""
 
 import jax.numpy as jnp
 import numpy as np

@@ -1,4 +1,4 @@
-"""Rays meet surfaces where their equations say."""
+"""Intersections of rays with surfaces, compared with the equations of the surfaces."""
 
 import jax
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""Edits keep what they should, and only that."""
+"""Edits keep the Gaussians that they should keep, and no others."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Labels that photos' label images give to Gaussians."""
+"""Labels of Gaussians from label images of photos."""
 
 import jax.numpy as jnp
 import numpy as np

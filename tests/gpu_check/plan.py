@@ -1,4 +1,4 @@
-"""What the check does: on a GPU, or tiny on the emulated device."""
+"""The sizes of the check: those for a GPU, and tiny ones for the emulated device."""
 
 import os
 from dataclasses import dataclass, replace

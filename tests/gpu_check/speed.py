@@ -1,4 +1,4 @@
-"""How fast is the backend on this device? Everything here is measured, but for `COUNTED`."""
+"""The speed of the backend on this device. Everything here is measured, except `COUNTED`."""
 
 from typing import Any
 

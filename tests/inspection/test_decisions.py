@@ -1,4 +1,4 @@
-"""A look at the photos before training."""
+"""Examination of the photos before training."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The data doctor: each defect that is put into a capture is found, and none where there is none."""
+"""Inspection of captures: it finds each defect that is put into a capture, and none in a good one."""
 
 import re
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Captures in zip files: unpacked as they are, and refused where they would do harm."""
+"""Captures in zip files: unpacked unchanged, and refused if they would do harm."""
 
 import os
 import zipfile

@@ -1,4 +1,4 @@
-"""Damaged captures and scenes that were once a traceback: each is one sentence that names the file."""
+"""Damaged captures and scenes that caused a traceback: each gives one sentence that names the file."""
 
 import gzip
 import json

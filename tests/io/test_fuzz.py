@@ -1,4 +1,4 @@
-"""Mutated files of every kind that is read: a consistent value or an `InputError` comes out, nothing else.
+"""Mutated files of every kind that is read give a consistent value or an `InputError`, and nothing else.
 
 About a second for each kind; `make fuzz` sets SPLATAX_FUZZ_SECONDS for more. Inputs follow from a number,
 which a failure names, so that they can be made again.

@@ -1,4 +1,4 @@
-"""Photos: as bright as they were stored, within the memory that may be used, and of known formats alone."""
+"""Photos keep their stored brightness, are decoded within the memory limit, and have a known format."""
 
 import struct
 import tracemalloc

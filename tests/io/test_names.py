@@ -1,4 +1,4 @@
-"""Names that a capture brings along: none leads out of its folder, and none reaches a terminal as it is."""
+"""Names in a capture: none leads out of its folder, and none reaches a terminal unescaped."""
 
 import json
 import shutil

@@ -1,4 +1,4 @@
-"""Decoded photos on disk: the same bits, shared, limited, and safe from what happens to the files."""
+"""Decoded photos on disk: the same bits, shared, limited in size, and replaced if they are damaged."""
 
 import os
 import shutil

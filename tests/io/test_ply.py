@@ -1,4 +1,4 @@
-"""The layout of files, checked byte by byte: a round trip alone would forgive any order."""
+"""The layout of .ply files, checked byte by byte, because a round trip accepts any order."""
 
 import struct
 import warnings

@@ -1,4 +1,4 @@
-"""Bytes of formats, by hand or of other software: a round trip alone would forgive any layout."""
+"""Bytes of formats, written by hand or by other software, because a round trip accepts any layout."""
 
 import gzip
 import itertools

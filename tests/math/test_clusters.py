@@ -1,4 +1,4 @@
-"""Codebooks must stand for their numbers about as well as the best ones could."""
+"""Codebooks represent their numbers about as well as optimal ones."""
 
 import numpy as np
 import pytest

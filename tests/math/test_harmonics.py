@@ -1,4 +1,4 @@
-"""The harmonics against SciPy's, and against the identities that define them."""
+"""Spherical harmonics, compared with SciPy and with the identities that define them."""
 
 import jax
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""Meshes of exact depth, whose surface is known."""
+"""Meshes of exact depth of surfaces that are known."""
 
 import errno
 from dataclasses import replace

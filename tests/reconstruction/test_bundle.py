@@ -1,4 +1,4 @@
-"""Cameras adjusted to matched features: wrong ones come back, right ones stay, the world stays in place."""
+"""Cameras adjusted to matched features: wrong ones are corrected, right ones and the world stay."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""How long it takes to find cameras."""
+"""The forecast of the time that finding cameras takes."""
 
 import pytest
 from rich.console import Console

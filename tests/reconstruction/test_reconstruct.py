@@ -1,4 +1,4 @@
-"""From photos to poses: the corner of a room whose cameras are known, and photos that are no use."""
+"""From photos to poses: the corner of a room whose cameras are known, and photos that cannot be used."""
 
 import shutil
 import struct

@@ -1,4 +1,4 @@
-"""Frames of videos: sharp ones, upright."""
+"""Frames of videos: sharp and upright ones."""
 
 import numpy as np
 import pytest

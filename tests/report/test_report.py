@@ -1,4 +1,4 @@
-"""The report: pictures that mean what they say, in a page that needs nothing else."""
+"""The report: correct pictures, in a page that refers to no other file."""
 
 import base64
 import io

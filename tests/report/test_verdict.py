@@ -1,4 +1,4 @@
-"""The words of a report: causes of bad photos, and places for the next ones, where they were put in."""
+"""The verdict of a report: causes of bad photos, and places for the next ones."""
 
 import re
 from dataclasses import replace

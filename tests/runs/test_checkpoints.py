@@ -1,4 +1,4 @@
-"""When a run saves itself, what is kept, and what happens when that fails."""
+"""The times at which a run saves itself, the files that are kept, and failures to save."""
 
 import errno
 import os

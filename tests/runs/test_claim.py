@@ -1,4 +1,4 @@
-"""Two processes never write to one folder at once."""
+"""Two processes never write to one folder at the same time."""
 
 import os
 import signal

@@ -1,4 +1,4 @@
-"""Photos go to disk only if memory is short, to a place that the user can choose, limit and clear."""
+"""Photos are kept on disk only if memory is short, in a folder that the user can choose, limit and clear."""
 
 import numpy as np
 import pytest

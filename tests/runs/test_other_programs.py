@@ -1,4 +1,4 @@
-"""Run folders of INRIA's 3DGS and of gsplat, and what their files of options say."""
+"""Run folders of INRIA's 3DGS and of gsplat, and the options in their files."""
 
 import pytest
 

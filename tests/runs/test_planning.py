@@ -1,4 +1,4 @@
-"""Short budgets make photos smaller, as far as that helps."""
+"""Short budgets make photos smaller, if that helps."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Records that were edited or cut short end in one sentence."""
+"""Records that were edited or truncated give one sentence."""
 
 from dataclasses import dataclass
 from pathlib import Path

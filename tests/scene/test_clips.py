@@ -1,4 +1,4 @@
-"""Clips against an independent evaluation by SciPy."""
+"""Clips, compared with an independent evaluation by SciPy."""
 
 import jax.numpy as jnp
 import numpy as np

@@ -1,4 +1,4 @@
-"""Bodies and rigged scenes in .glb files: what other programs compute from them, and damaged ones."""
+"""Bodies and rigged scenes in .glb files: values that other programs compute, and damaged files."""
 
 import json
 import struct

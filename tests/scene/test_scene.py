@@ -1,4 +1,4 @@
-"""The records of a scene of parts: names, order, colour maps, and what is refused."""
+"""The records of a scene of parts: names, order, colour maps, and refusals."""
 
 from dataclasses import replace
 

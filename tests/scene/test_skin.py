@@ -1,4 +1,4 @@
-"""Skinning against closed forms, finite differences and rigid transforms."""
+"""Skinning, compared with closed forms, finite differences and rigid transforms."""
 
 from dataclasses import replace
 

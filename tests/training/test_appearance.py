@@ -1,4 +1,4 @@
-"""Photos of another exposure do not change the colours of the scene."""
+"""Photos with another exposure do not change the colours of the scene."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Cameras that were given a little wrong come back, and all together they do not drift."""
+"""Inaccurate cameras are corrected, and all cameras together do not drift."""
 
 import os
 from dataclasses import replace

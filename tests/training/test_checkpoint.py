@@ -1,4 +1,4 @@
-"""What is read from a checkpoint goes on bit for bit as what was written, or is refused."""
+"""A checkpoint that is read continues bit for bit, or is refused."""
 
 from dataclasses import replace
 

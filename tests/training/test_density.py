@@ -1,4 +1,4 @@
-"""The classic strategy's decisions on scenes where they can be told by hand."""
+"""The decisions of the classic strategy on scenes for which they are known."""
 
 import math
 from dataclasses import replace

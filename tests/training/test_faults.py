@@ -1,4 +1,4 @@
-"""Captures that are wrong or strange: training stays finite, or says what is wrong."""
+"""Captures that are wrong or unusual: training stays finite, or reports the error."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Regularizers of geometry: values on scenes that can be written down, gradients, and training."""
+"""Regularizers of geometry: values on analytic scenes, gradients, and training."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Training on photos of which only a part counts."""
+"""Training on photos with masks."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Relocation and growth leave the picture, noise has the covariance it claims, priors their gradient."""
+"""Relocation and growth preserve the image, noise has its covariance, and priors have their gradient."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Recipes: values, in proportion to their steps, that train; and the better one is better."""
+"""Recipes: values in proportion to their steps, training, and the better one is better."""
 
 from dataclasses import replace
 

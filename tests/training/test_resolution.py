@@ -1,4 +1,4 @@
-"""Photos that are smaller at first."""
+"""Photos that are smaller in the first part of a run."""
 
 from dataclasses import replace
 from itertools import islice

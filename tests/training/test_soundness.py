@@ -1,4 +1,4 @@
-"""What is not finite neither spreads nor stays, and is counted."""
+"""Values that are not finite do not spread, are removed, and are counted."""
 
 from dataclasses import dataclass, replace
 

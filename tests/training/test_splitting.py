@@ -1,4 +1,4 @@
-"""New Gaussians go where pixels pull, beside their parents, and the picture hardly changes."""
+"""New Gaussians are placed beside parents with large gradients, and the image hardly changes."""
 
 from dataclasses import replace
 

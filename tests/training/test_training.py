@@ -1,4 +1,4 @@
-"""Training on a tiny capture that is rendered here: it learns, repeats, and says what is wrong."""
+"""Training on a tiny synthetic capture: it learns, repeats, and reports errors."""
 
 from dataclasses import replace
 

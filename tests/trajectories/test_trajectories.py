@@ -1,4 +1,4 @@
-"""Paths: they pass their keys, move smoothly, look at what they should, and refuse what they cannot do."""
+"""Trajectories pass their keyframes, move smoothly, look at their target, and refuse impossible captures."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Fields of ROS 2 messages, and the example node with small doubles in place of ROS."""
+"""Fields of ROS 2 messages, and the example node with test doubles for ROS."""
 
 import runpy
 import sys

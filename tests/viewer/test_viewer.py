@@ -1,4 +1,4 @@
-"""The live viewer without a browser: cameras, sizes of frames, what is drawn, and who is served."""
+"""The live viewer without a browser: cameras, sizes of frames, frames that are drawn, and browsers served."""
 
 import os
 import signal

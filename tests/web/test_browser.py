@@ -1,4 +1,4 @@
-"""The page in a browser: it draws what splatax draws, and does what it is told."""
+"""The page in a browser: it draws the images of splatax, and its controls work."""
 
 from dataclasses import replace
 from itertools import pairwise

@@ -1,4 +1,4 @@
-"""Pages that play a clip: the numbers that they hold, and what a browser draws of them."""
+"""Pages that play a clip: the numbers that they hold, and the images in a browser."""
 
 import base64
 from dataclasses import replace

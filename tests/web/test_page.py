@@ -1,4 +1,4 @@
-"""What is in a page, without a browser."""
+"""The contents of a page, without a browser."""
 
 import base64
 import gzip

@@ -33,7 +33,7 @@ def resolve(backend: str | Kernels = AUTO, dtype: DTypeLike = jnp.float32) -> Ke
     Args:
         backend: the name of a backend, or kernels of your own. "auto" is the first backend that runs on JAX's
             default platform and computes in `dtype`. A backend that is named is never replaced by another.
-        dtype: what is computed in.
+        dtype: dtype to compute in.
 
     Raises:
         ValueError: if there is no such backend, it cannot run here, or does not compute in `dtype`.

@@ -18,7 +18,7 @@ Kernel = Callable[  # (image, photo, ssim_weight) -> loss, d loss / d image; has
 def photometric(
     image: Float[Array, "h w c"], photo: Float[Array, "h w c"], ssim_weight: float, kernel: Kernel
 ) -> Float[Array, ""]:
-    """Computes the loss; differentiable in `image` alone."""
+    """Computes the loss; differentiable only with respect to `image`."""
     return _with_gradient(image, photo, ssim_weight, kernel)[0]
 
 

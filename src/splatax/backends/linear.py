@@ -90,7 +90,7 @@ def linear_call(
     Args:
         linear_map: the map.
         residuals: a pytree of arrays that describe the point.
-        tangents: what the map is linear in.
+        tangents: the arguments in which the map is linear.
         outputs: arrays of the types that the map returns.
     """
     leaves, structure = jax.tree.flatten(residuals)

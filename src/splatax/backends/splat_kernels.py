@@ -44,7 +44,7 @@ def second_derivative(primals, tangents) -> tuple[Splats, Float[Array, "n c"]]:
 
     Args:
         primals: residuals, which begin with splats and channels, and the cotangents of the image.
-        tangents: theirs. The image is a function of the splats, so its own tangent is not used.
+        tangents: of the primals. The image is a function of the splats, so its own tangent is not used.
     """
     (splats, channels, *_), cotangents = primals
     (d_splats, d_channels, *_), d_cotangents = tangents

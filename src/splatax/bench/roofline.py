@@ -1,6 +1,6 @@
 """Roofline of the rasterizer: the time that its arithmetic alone takes at the machine's measured peak.
 
-A slot is a pixel at which a splat is evaluated. The forward pass takes 33 operations a slot: exponent 10,
+A slot is a pixel at which a splat is evaluated. The forward pass takes 33 operations per slot: exponent 10,
 exp2 13, alpha, transmittance and weight 4, three channels 6. The backward pass takes 62: the same again
 without channels, and 35 of its own. These are counts of native/cpu/chunk.h, blending.h and gradient.h, with a
 fused multiply-add as two operations and comparisons as none.

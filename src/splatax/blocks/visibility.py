@@ -70,7 +70,7 @@ def outlooks(
         gaussians: the coarse scene.
         views: the cameras of the training views, and of the held-out ones.
         blocks: the block of each Gaussian, from 0, each at least once.
-        backend: that draws the scene.
+        backend: backend that draws the scene.
         watch: called with the number of views that are done, and of all.
     """
     train, test = views

@@ -42,7 +42,7 @@ class Order:
 
     Attributes:
         photos: absolute path of the photos, video or capture.
-        options: that were given and decide the result, as JSON values by name; times in seconds.
+        options: the given options that decide the result, as JSON values by name; times in seconds.
     """
 
     photos: str

@@ -22,7 +22,7 @@ def joined(hosts: str | None) -> Iterator[None]:
 
     Args:
         hosts: "auto" where JAX finds them (SLURM, Open MPI, Kubernetes, TPU pods), else "ADDRESS,COUNT,INDEX"
-            with the host:port of process 0. None for a process alone.
+            with the host:port of process 0. None for a single process.
 
     Raises:
         InputError: if the text is none of these, or the processes do not find each other.

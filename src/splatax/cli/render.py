@@ -143,7 +143,7 @@ class Files(NamedTuple):
 def files_of(views: Sequence[sx.View], out: Path) -> "list[Files]":
     """Returns where the files of each view go: under its name, without the suffix of its photo.
 
-    Photos that differ by their suffix alone keep it, so that no picture replaces another.
+    Photos whose names differ only in their suffix keep it, so that no image replaces another.
 
     Raises:
         InputError: if a view's name leads out of the output folder.

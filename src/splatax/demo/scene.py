@@ -33,10 +33,10 @@ class Scene:
     """A scene to draw, and the photos to take of it.
 
     Attributes:
-        summary: what the scene shows, as the end of a sentence.
+        summary: contents of the scene, as the end of a sentence.
         surfaces: in the order of their ids.
         light: lamp and ambient light.
-        viewpoints: where the cameras stand.
+        viewpoints: positions and directions of the cameras.
         sky: colour of rays that meet no surface; None leaves them transparent.
         photos: number of photos that suits the scene.
         focal: focal length, pixels, of photos that are 160 pixels wide.

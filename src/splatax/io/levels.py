@@ -1,4 +1,4 @@
-"""Pixels of an opened picture: converted to 8 bits a channel, and turned upright."""
+"""Pixels of an opened picture: converted to 8 bits per channel, and turned upright."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,7 +22,7 @@ def eight_bits(path: Path, image: "Image.Image") -> Pixels:
         kind = "32-bit whole" if image.mode == "I" else "floating-point"
         raise DatasetError(
             f"{path}: it holds {kind} numbers, which do not say what is white. Save the photo with 8 or 16 "
-            "bits a channel."
+            "bits per channel."
         )
     image.load()
     width, height = image.size

@@ -74,7 +74,7 @@ def load_variants(path: str | Path) -> tuple[Scene, Variants]:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[None]:
-    """Turns what is wrong with a file that is read inside into a `FormatError`."""
+    """Turns errors about a file that is read inside into a `FormatError`."""
     _check_suffix(path)
     if not path.is_file():
         raise FormatError(f"{path}: no such file. Give a .glb file with splats.")
@@ -134,7 +134,7 @@ def save_scene(
     Args:
         path: path of the file, which ends in .glb.
         scene: the scene; with variants, all parts are as without them.
-        variants: what can be chosen.
+        variants: the options to choose from.
         comments: lines to keep with the scene, beside the one that names its filter.
 
     Returns:

@@ -51,7 +51,7 @@ class Adjustment:
     Attributes:
         given: the views as they were given.
         views: the views with the cameras to use.
-        lenses: corrections of lenses, by the names of views; empty if poses alone were adjusted.
+        lenses: corrections of lenses, by the names of views; empty if only poses were adjusted.
         before: median reprojection error of the held-out tracks with the given cameras, pixels.
         after: the same with the adjusted cameras.
         motion: median distance by which the tracks move in the photos from given to adjusted cameras, pixels.
@@ -116,7 +116,7 @@ def adjusted_cameras(
 
     Args:
         views: views with cameras that are accurate to several pixels, apart from what is free.
-        free: what is adjusted: "poses"; "poses+focal", also the focal lengths of each lens;
+        free: the parameters to adjust: "poses"; "poses+focal", also the focal lengths of each lens;
             "poses+distortion", also its distortion; or "poses+lens", all of these. A pinhole, or a lens of
             OpenCV's, gets k1 and k2, and p1 and p2 if they or the difference of its focal lengths are not
             zero.

@@ -56,7 +56,7 @@ def adjustable(camera: Camera, free: Free) -> "pycolmap.Camera":
 
     Args:
         camera: a camera whose lens COLMAP has; its motion is left out.
-        free: what may change.
+        free: the parameters that may change.
     """
     import pycolmap
 

@@ -6,7 +6,7 @@ from splatax.reconstruction.pairs import Exhaustive, Pairing, Sequential, Simila
 # features: 2.2 and 11.7 s for the features of a photo, 0.16 and 0.91 s for a pair, 3.3 and 2.1 s a photo
 # after that.
 PAIR = 0.076  # time to match a pair, as a fraction of the time to find a photo's features
-AFTER = 2.5  # seconds a photo, to find the poses and to write the capture
+AFTER = 2.5  # seconds per photo, to find the poses and to write the capture
 MUTUAL = 0.67  # pairs of similar photos, as a fraction of what there were if no two chose each other
 
 
@@ -26,7 +26,7 @@ def seconds_left(feature_seconds: float, found: int, count: int, pairing: Pairin
     """Returns about how long the rest of a reconstruction takes.
 
     Args:
-        feature_seconds: that finding the features of one picture took.
+        feature_seconds: time that finding the features of one picture took.
         found: pictures whose features are found.
         count: all pictures, which are photos and faces of 360-degree photos.
         pairing: selection of pairs to match.

@@ -50,9 +50,9 @@ class Ways:
         """Returns how the photos of one camera are written.
 
         Args:
-            model: that was found.
+            model: the model that was found.
             image: a picture by the camera; of a 360-degree photo the first.
-            photo: that it was made from.
+            photo: the photo that the picture was made from.
         """
         camera = model.camera(image.camera_id)
         if photo.panorama:

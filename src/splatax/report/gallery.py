@@ -28,7 +28,7 @@ class Exhibit:
         masked: true if it has a mask.
         photo: the photo, as a data URI; so are the other pictures.
         image: the scene from there.
-        error: where they differ.
+        error: map of their difference.
         hazy: true if the scene has much less contrast than the photo.
         concentrated: true if most of the error lies in a small part of the picture.
     """

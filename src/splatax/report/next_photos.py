@@ -24,8 +24,8 @@ class Spot:
 
     Attributes:
         position: world units.
-        why: what is known about the place.
-        fix: what to do there.
+        why: the reason for new photos there.
+        fix: advice for the photos to take.
         gap: true if it lies in a gap between the cameras, false if a photo there is bad.
     """
 

@@ -34,7 +34,7 @@ class Complaint:
     Attributes:
         what: the fault.
         why: its probable cause, or the measurement that shows it.
-        fix: what to do about it.
+        fix: advice to the user.
     """
 
     what: str
@@ -50,7 +50,7 @@ class Verdict:
         headline: one sentence.
         good: sentences.
         bad: faults, the worst first.
-        spots: where to take the next photos.
+        spots: places for the next photos.
         matched: whether the scene matches a photo well, by name, for each that has a score.
     """
 

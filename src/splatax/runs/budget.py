@@ -42,7 +42,7 @@ def quantity(text: str, units: Mapping[str, float], wanted: str) -> float:
     Args:
         text: from the user, in upper or lower case.
         units: size of each in base units, by name in lower case.
-        wanted: what the text should be, for the message.
+        wanted: description of a valid text, for the message.
 
     Raises:
         ValueError: if it is something else, or not positive.
@@ -242,7 +242,7 @@ class Clock(Changes):
     Attributes:
         seconds: for the whole run.
         checked: step and seconds of the last call of `note`.
-        expected: what the steps were planned to take. None, as for a resumed run, assumes that all steps
+        expected: planned cost of the steps. None, as for a resumed run, assumes that all steps
             take as long as the latest.
         slowness: measured time of steps over the planned time, for each look at the clock.
         left: returns the seconds left for training, where the whole command is limited; else None.

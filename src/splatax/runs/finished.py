@@ -33,7 +33,7 @@ class FinishedRun:
     Attributes:
         name: distinguishes it from other runs.
         folder: of its files.
-        options: that it was started with.
+        options: options that it was started with.
         metrics: from metrics.json.
     """
 

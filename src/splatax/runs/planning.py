@@ -129,7 +129,7 @@ def smaller_photos(
     Args:
         load: returns the capture with photos divided by a number.
         dataset: the capture at the size that was planned for.
-        steps: that there is time for at that size.
+        steps: number of steps that fit into the time at that size.
     """
     found, affordable = None, pixels(dataset) * steps / ENOUGH_STEPS
     for divisor in range(2, 9):

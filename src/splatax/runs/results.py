@@ -61,7 +61,7 @@ class Results:
         recipe: all settings of the training.
         history: the record of the run.
         last: the run after its last step.
-        options: that the run was started with, for config.json.
+        options: options that the run was started with, for config.json.
         out: the folder.
         judge: another run of the capture, with held-out photos, whose scores the report gives.
     """

@@ -110,7 +110,7 @@ def find(path: Path, command: str = TRAIN) -> Earlier:
 
     Args:
         path: of the checkpoint or the folder.
-        command: that makes such runs.
+        command: command that makes such runs.
 
     Raises:
         InputError: if there is none, it is damaged, or another command made it.

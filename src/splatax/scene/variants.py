@@ -56,7 +56,7 @@ def chosen(scene: Scene, variants: Variants, choice: Mapping[str, str] | None = 
 
     Args:
         scene: the scene, in which all parts are as without variants.
-        variants: what can be chosen.
+        variants: the options to choose from.
         choice: option of each variant; the first option of those that are not named.
 
     Raises:

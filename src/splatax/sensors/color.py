@@ -35,7 +35,7 @@ class ColorNoise:
     read: float | Float[Array, ""] = 3.0
 
     def apply(self, light: Float[Array, "h w 3"], key: Key | None) -> Float[Array, "h w 3"]:
-        """Returns measured linear light, clipped to [0, 1]; without a key, exposure and gain alone."""
+        """Returns measured linear light, clipped to [0, 1]; without a key, there is no noise."""
         electrons = self.full_well * self.exposure * jnp.maximum(light, 0)
         if key is not None:
             deviation = jnp.sqrt(electrons + self.read**2)

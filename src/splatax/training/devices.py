@@ -1,7 +1,7 @@
 """The devices of a run, and which rows of the scene each of them owns.
 
 Rows are dealt in blocks of `BLOCK`: block b belongs to device b mod D, so a scene that keeps its living
-Gaussians first stays balanced. What is done to a row depends on its block alone, never on D: XLA rounds
+Gaussians first stays balanced. The computation for a row depends only on its block, never on D: XLA rounds
 elementwise work differently for arrays of other lengths, so work on rows is done in blocks of one length.
 
 Only this file knows on which device a row is.
@@ -46,7 +46,7 @@ def devices_for(views: int, devices: Sequence[jax.Device] | None = None) -> Mesh
     count = max(d for d in range(1, min(len(found), views) + 1) if views % d == 0)
     if count != len(found) and (devices is not None or jax.process_count() > 1):
         raise ValueError(
-            f"{views} views a step do not divide among {len(found)} devices. Choose a multiple "
+            f"{views} views per step do not divide among {len(found)} devices. Choose a multiple "
             f"of {len(found)} views, or give {count} devices."
         )
     return Mesh(np.array(found[:count]), (AXIS,), axis_types=(AxisType.Auto,))

@@ -136,7 +136,7 @@ class Layers(NamedTuple):
     """Depth of the blended planes at each pixel, and how far they lie apart.
 
     Attributes:
-        depth: that of the output "surface_depth"; 0 where nothing is.
+        depth: the output "surface_depth"; 0 where nothing is.
         spread: alpha times the standard deviation of the planes' inverse depth, relative to its mean.
         scatter: the sum over pairs of planes of both weights and the squared difference of inverse depths,
             relative to the square of their mean. The mean has no gradient: what is near the camera would
@@ -203,10 +203,10 @@ def drawn(
     """Returns the outputs by their names.
 
     Args:
-        outputs: made of blended channels alone.
-        channels: theirs, by name.
+        outputs: made of blended channels only.
+        channels: channels of the outputs, by name.
         seen: the painted splats and the camera.
-        kernels: that blend.
+        kernels: kernels that blend the channels.
     """
     ends = np.cumsum([values.shape[1] for values in channels.values()])
     sums, alpha = composite(seen.splats, jnp.concatenate(list(channels.values()), axis=1), backend=kernels)

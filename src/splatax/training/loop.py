@@ -28,7 +28,7 @@ class RunState:
     """The state of a run between two steps, from which `optimize` can continue it.
 
     Attributes:
-        train: what the steps change. The next step donates it: it cannot be used afterwards.
+        train: the state that the steps change. The next step donates it: it cannot be used afterwards.
         count: number of living Gaussians.
     """
 
@@ -114,7 +114,7 @@ def optimize(
             new total number of steps for the run, or None to keep the present one. Density control and the
             size of photos then follow the recipe's schedule at the same fraction of the run.
         photo_room: bytes of memory for decoded photos; those that do not fit are decoded for each step.
-        devices: that share the views of a step; None for as many as there are and divide the views.
+        devices: devices that share the views of a step; None for as many as there are and divide the views.
 
     Raises:
         DatasetError: if there are no training views, or nothing to start from that they see.

@@ -72,7 +72,7 @@ def moved(
 
     Args:
         rows: of the scene.
-        pace: what they share.
+        pace: the inputs that all rows share.
         noise_key: of the recipe's noise.
         recipe: the settings.
     """
@@ -95,7 +95,7 @@ def by_kernel(
 
     Args:
         rows: own rows.
-        pace: what they share.
+        pace: the inputs that all rows share.
         rule: as `rule_of`.
         keys: of the noise, for each block of rows.
         block: number of rows that share a key.
@@ -124,7 +124,7 @@ def by_optax(
 
     Args:
         rows: own rows.
-        pace: what they share.
+        pace: the inputs that all rows share.
         noise_key: of the recipe's noise.
         recipe: the settings.
     """

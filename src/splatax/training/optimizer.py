@@ -144,7 +144,7 @@ def inherit(
 
     Args:
         opt_state: of the rule's transformation, for the old rows.
-        lineage: where the new rows come from.
+        lineage: origin of the new rows.
         gaussians: the refined scene.
         rule: builds the transformation.
 

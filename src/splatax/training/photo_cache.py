@@ -28,7 +28,7 @@ class PhotoCache:
         """Creates an empty cache.
 
         Args:
-            views: whose photos are decoded.
+            views: views whose photos are decoded.
             room: bytes of memory; `math.inf` keeps all photos.
             canvases: size of the canvas of each photo at full size, None for none; see
                 `cameras.canvases`. What is kept has the size of the photo.

@@ -27,7 +27,7 @@ class Search:
 
     Attributes:
         steps: number of steps; each uses one photo, in turn.
-        rate: learning rate of the rotation vectors at the start, radians a step; it falls log-linearly.
+        rate: learning rate of the rotation vectors at the start, radians per step; it falls log-linearly.
         background: RGB behind the scene.
         joints: names of the joints that may turn; None for all.
     """

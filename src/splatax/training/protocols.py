@@ -58,7 +58,7 @@ class DensityUpdate:
     Attributes:
         gaussians: the living Gaussians first, then empty slots.
         count: number of living Gaussians.
-        lineage: where each row comes from.
+        lineage: origin of each row.
         state: of the strategy, for the new rows.
     """
 
@@ -95,10 +95,10 @@ class UpdateRule(Hashable, Protocol):
     def __call__(self) -> optax.GradientTransformation:
         """Returns a transformation whose updates are for a learning rate of 1 and are added to the scene.
 
-        Its state may hold copies of the scene's shape, such as moments, and numbers that all rows share,
-        such as a step count. The copies follow the Gaussians through density control. A step on several views
-        updates blocks of rows one after the other, so a rule must treat each row alone. The opacity logits of
-        empty slots are minus infinity; updates of them are ignored.
+        Its state may hold copies of the scene's shape, such as moments, and numbers that all rows share, such
+        as a step count. The copies follow the Gaussians through density control. A step on several views
+        updates blocks of rows one after the other, so a rule must treat each row independently. The opacity
+        logits of empty slots are minus infinity; updates of them are ignored.
         """
         ...
 

@@ -28,7 +28,7 @@ from splatax.training.resolution import Resolution
 from splatax.training.rigged_step import Fixed, Learned, RigState, first_state, rig_step
 from splatax.training.schedule import Schedule
 
-POSE_RATE = 5e-3  # radians a step, at the start
+POSE_RATE = 5e-3  # radians per step, at the start
 WEIGHT_RATE = 0.02  # of the logarithms, a step, at the start
 
 
@@ -37,7 +37,7 @@ class RigRun:
     """A run between two steps, from which `optimize_rig` can continue it.
 
     Attributes:
-        train: what the steps change. The next step donates it: it cannot be used afterwards.
+        train: the state that the steps change. The next step donates it: it cannot be used afterwards.
         count: number of Gaussians.
         rig: the rig that the run was started with, for its skeleton.
     """
@@ -115,12 +115,11 @@ def optimize_rig(
             donated: it cannot be used afterwards.
         poses: poses of the skeleton by name.
         pose_of: name of the pose in each training photo, by the photo's name.
-        learned: what is learned beside the Gaussians.
+        learned: learning rates of the poses and the weights.
 
     Raises:
-        DatasetError: if there are no training photos, or one has no pose.
-        ValueError: if the recipe has several views a step, which this trainer does not make, or no steps are
-            left.
+        DatasetError: if there are no training photos, or one has no pose. ValueError: if the recipe has
+            several views per step, which this trainer does not make, or no steps are left.
     """
     if recipe.views != 1 or recipe.steps < 1:
         raise ValueError(

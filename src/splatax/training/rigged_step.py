@@ -31,7 +31,7 @@ class Learned:
     """Learning rates of the poses and the weights, which are learned beside the Gaussians.
 
     Attributes:
-        pose_rate: first learning rate of the joints' rotations, radians a step; 0 keeps the poses as given.
+        pose_rate: first learning rate of the joints' rotations, radians per step; 0 keeps the poses as given.
         weight_rate: first learning rate of the logarithms of the weights; 0 keeps the weights.
     """
 

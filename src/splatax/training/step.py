@@ -50,7 +50,7 @@ class TrainState:
         weights: of the weights of photos.
         key: root of the random keys of all steps.
         extent: of the scene, world units.
-        faults: what was not finite until now.
+        faults: counts of what was not finite until now.
     """
 
     step: Int[Array, ""]

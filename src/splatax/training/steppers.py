@@ -86,7 +86,7 @@ class SeveralViews:
 
     Attributes:
         dealt: the devices.
-        context: as that of `OneView`, on all devices.
+        context: as in `OneView`, on all devices.
     """
 
     dealt: Dealt

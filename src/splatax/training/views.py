@@ -50,7 +50,7 @@ def step_on_views(
     """Makes one step on several views, and returns the new state and the mean loss of the views.
 
     The old state is donated: it cannot be used afterwards. The result does not depend on the number of
-    devices if the backend computes each row alone, as "cpu" does.
+    devices if the backend computes each row independently, as "cpu" does.
 
     Args:
         state: placed on the devices.

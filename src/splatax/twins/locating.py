@@ -25,8 +25,8 @@ class LocationSearch:
 
     Attributes:
         steps: number of steps of Adam, at least 1.
-        rate: learning rate at the start, radians a step, and fractions of the part's radius a step for the
-            translation; it falls log-linearly.
+        rate: learning rate at the start, radians per step, and fractions of the part's radius per step for
+            the translation; it falls log-linearly.
         final: fraction of `rate` at the end.
         depth_weight: weight of relative depth errors beside those of colour.
         most: relative depth error from which a pixel counts no more, because it shows another surface.

@@ -54,7 +54,7 @@ class Panels:
         if now - self._told > STATUS_SECONDS:
             self._told = now
             cost = np.mean([seconds for _, seconds in self._frames])
-            self._status.content = f"{size[0]} x {size[1]}, {1000 * cost:.0f} ms a frame"
+            self._status.content = f"{size[0]} x {size[1]}, {1000 * cost:.0f} ms per frame"
 
     def scene(self, count: int) -> None:
         """Shows the number of Gaussians of a finished scene."""

@@ -46,7 +46,7 @@ class Composition:
 
     Attributes:
         scene: all parts; `scene.chosen` applies the variants to it.
-        presentation: what its page offers.
+        presentation: the offers of its page.
         title: title of the page.
         background: display-referred RGB behind the scene.
     """
@@ -66,7 +66,7 @@ def compose(path: str | Path) -> Composition:
     """Reads a .toml file of parts and variants, and the splat files that it names; or a .glb file of them.
 
     docs/configurator.md lists the keys. Files are looked for beside the .toml file, and read once each. A
-    .glb file has parts and variants alone: its page has no notes, and the name of the file for a title.
+    .glb file has only parts and variants: its page has no notes, and its title is the name of the file.
 
     Raises:
         FormatError: if a file is missing or damaged, a key is unknown or has no valid value, or a variant or

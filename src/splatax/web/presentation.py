@@ -22,7 +22,7 @@ class Hotspot:
 
     Attributes:
         at: the place, world units.
-        text: what the note says.
+        text: text of the note.
         part: the part that it belongs to, with which it is hidden; None for the scene.
     """
 
@@ -41,7 +41,7 @@ class Presentation:
         start: the first view; None to see the whole scene, or what the capture's cameras see.
         path: cameras of a flight, at equal times; empty to fly through the cameras of the capture.
         seconds: duration of the flight.
-        play: what the play button does, if there is a flight.
+        play: action of the play button, if there is a flight.
         autoplay: whether the page starts to play by itself. It does not if the visitor's system asks for less
             motion.
         buttons: whether buttons are shown; a page that is embedded in another may go without.

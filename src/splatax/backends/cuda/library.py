@@ -28,7 +28,7 @@ class Library:
 
     Attributes:
         path: file of the library.
-        platform: what XLA calls the device: "CUDA"; "cpu" where tests emulate one.
+        platform: XLA's name of the device: "CUDA"; "cpu" where tests emulate one.
         prepare: gives driver and kernels to the loaded library; called once, before the first call.
     """
 

@@ -22,7 +22,7 @@ class Compiled:
 
     Attributes:
         binary: a cubin, or PTX with a zero at its end.
-        log: what the compiler printed.
+        log: output of the compiler.
     """
 
     binary: bytes

@@ -53,7 +53,7 @@ def program(compiler: Nvrtc, capability: int, folder: Path | None = None) -> byt
     """Returns the kernels for GPUs of one compute capability, from disk if they were compiled before.
 
     Args:
-        compiler: what compiles them.
+        compiler: the compiler.
         capability: see `architecture`.
         folder: of the files; None for that of the user.
 

@@ -1,4 +1,4 @@
-"""Chrome, lacquer and a polished floor under an open sky: what is seen depends on where it is seen from."""
+"""Chrome, lacquer and a polished floor under an open sky: surfaces whose colours depend on the viewpoint."""
 
 from splatax.demo.scene import Light, Scene
 from splatax.demo.shapes import Cylinder, Rectangle, Sphere, box

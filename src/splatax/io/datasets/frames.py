@@ -96,7 +96,7 @@ def frame_of(
     Args:
         path: path of the file.
         fields: entries of the frame, and of the whole file for those that the frame lacks.
-        entries: entries of the frame alone.
+        entries: entries of the frame only.
         cam_from_world: pose of the frame.
     """
     own = Fields(fields.where, entries)

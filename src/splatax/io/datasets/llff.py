@@ -33,7 +33,7 @@ def recognise(path: Path) -> bool:
 
 
 def read(path: Path, downscale: int | None) -> Capture:
-    """Reads a capture, whose photos belong to the poses by their order alone."""
+    """Reads a capture, whose photos are matched with the poses only by their order."""
     rows = rows_of(path / FILE)
     folder, already = photos.photo_folder(path, downscale)
     found = sorted(photo for photo in folder.iterdir() if images.is_image(photo))

@@ -126,7 +126,7 @@ def worlds_of(chunk: ElementTree.Element) -> dict[str | None, Float[np.ndarray, 
 
 
 def similarity(transform: ElementTree.Element | None) -> Float[np.ndarray, "4 4"]:
-    """Returns a rotation, translation and scale as a matrix; what is missing does nothing."""
+    """Returns a rotation, translation and scale as a matrix; missing parts have no effect."""
     matrix = np.eye(4)
     if transform is None:
         return matrix

@@ -77,7 +77,7 @@ def placed(path: Path, harmonics: str = HARMONICS) -> list[tuple[Placed, Gaussia
 
     Args:
         path: the file.
-        harmonics: what the names of the harmonics to read begin with: `HARMONICS`, or `ORIGINAL` for those
+        harmonics: prefix of the names of the harmonics to read: `HARMONICS`, or `ORIGINAL` for those
             before the map of colours that is noted at a node, where there is one.
 
     Raises:

@@ -30,7 +30,7 @@ class Placed(NamedTuple):
         place: transform from the primitive to the scene.
         name: name of the node; empty if it has none.
         visible: False if the node or one above it is hidden.
-        extras: what `splatax.io.scenes` has noted at the node.
+        extras: notes of `splatax.io.scenes` at the node.
     """
 
     primitive: dict[str, Any]
@@ -124,7 +124,7 @@ def check_repetition(
         gltf: its JSON chunk.
         buffer: its binary chunk.
         primitives: of all nodes that are read.
-        rows: what a row of a primitive is, for the message.
+        rows: name of the rows of a primitive, for the message.
 
     Raises:
         FormatError: if the nodes ask for too many rows.

@@ -34,7 +34,7 @@ class Mcmc:
     max_gaussians: int = 1_000_000
 
     def init(self, capacity: int) -> tuple[()]:
-        """Returns an empty state: relocation depends on opacities alone."""
+        """Returns an empty state: relocation depends only on opacities."""
         return ()
 
     def watch(self, splats: Splats) -> Splats:

@@ -114,7 +114,7 @@ def test_what_cannot_be_done_is_refused_and_nothing_written(model, tmp_path, cap
         ((model, tmp_path / "a.obj"), "unknown format '.obj'"),
         ((model, tmp_path / "a.ksplat"), "can only be read"),
         ((model, tmp_path / "a.ply", "--up", "auto"), "--scene"),
-        ((model, tmp_path / "a.ply", "--spz-version", 4), "no .spz file"),
+        ((model, tmp_path / "a.ply", "--spz-version", 4), "not an .spz file"),
         ((model, tmp_path / "a.ply", "--simplify", 0), "--simplify"),
         ((model, tmp_path / "a.ply", "--simplify", 1.5), "a fraction between 0 and 1"),
         ((model, tmp_path / "a.ply", "--simplify", 5, "--tune", -1), "--tune"),

@@ -56,6 +56,15 @@ def test_photos_that_counted_little_are_named(dataset):
     assert "the weight was lowered: to 0.02" in complaint.why
 
 
+def test_few_panoramas_are_not_to_be_taken_around_a_subject(dataset):
+    few = replace(dataset, train=dataset.train[:3])
+    faces = replace(few, train=tuple(replace(view, face_of="a") for view in few.train))
+    around, anywhere = (judged(each, [33.0, 34.0, 35.0]).bad[-1] for each in (few, faces))
+    assert (around.what, anywhere.what) == ("There are only 6 photos.", "There are only 4 photos.")
+    assert "around the subject" in around.mend
+    assert "from other places" in anywhere.mend
+
+
 def test_the_faces_of_a_panorama_are_judged_as_one_photo(dataset):
     faces = {"view00.png": "a", "view08.png": "a"}
     whole = tuple(replace(view, face_of=faces.get(view.name)) for view in dataset.test)

@@ -1,8 +1,8 @@
 """`splatax train`: from a capture to a scene."""
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -12,20 +12,19 @@ import jax
 import tyro
 
 from splatax.cli.display import Display
+from splatax.cli.finishing import written
 from splatax.cli.hosts import joined, kept_by_one
 from splatax.cli.interruption import Interruption
 from splatax.cli.options import flag, given, parsed, shown_as
-from splatax.cli.output import complain, say
+from splatax.cli.output import say
 from splatax.cli.preparing import loaded, planned, prepared
 from splatax.cli.settings import NAMES, Settings, as_started
 from splatax.cli.train_options import Devices, Limits, Live, Method, Photos, Rerun, Saving
 from splatax.cli.view import audience
 from splatax.dataset import Dataset, photos_in
 from splatax.errors import InputError
-from splatax.io.datasets.colmap_writing import PLACE
 from splatax.io.datasets.photos import counted
 from splatax.io.memory import decoding
-from splatax.report.training import Pages
 from splatax.runs.budget import DEFAULT_BUDGET, Changes, Clock, Expected, parse_seconds
 from splatax.runs.checkpoints import Checkpoints
 from splatax.runs.claim import claimed_for_run
@@ -34,7 +33,7 @@ from splatax.runs.history import History
 from splatax.runs.keeping import with_photos_kept
 from splatax.runs.planning import Deadline, gigabytes, room_within
 from splatax.runs.records import understood
-from splatax.runs.results import Results, conclude
+from splatax.runs.results import Results
 from splatax.runs.resume import OTHER, Earlier, facts, find
 from splatax.runs.session import Session, all_made
 from splatax.training.loop import RunState
@@ -207,8 +206,7 @@ class Train:
                 if jax.process_index() > 0:
                     return
                 results = Results(title, dataset, recipe, history, last, asdict(settings), out, judge)
-                with told_how_to_finish(out):
-                    write(results, checkpoints)
+                written(results, checkpoints)
             if history.interrupted:
                 say(f"stopped at step {history.steps:,}. Resume it: splatax train --resume {out}")
 
@@ -266,36 +264,3 @@ def pace(
         return Changes(history.changes)
     checked = history.steps, history.train_seconds
     return Clock(history.changes, settings.seconds, checked, expected, left=left)
-
-
-@contextmanager
-def told_how_to_finish(out: Path) -> Iterator[None]:
-    """Prints how to write the results of a run if the user stops that."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        complain(f"stopped while the results were written. To write them: splatax train --resume {out}")
-        raise
-
-
-def write(results: Results, checkpoints: Checkpoints) -> None:
-    """Writes the results of a run and prints where they are."""
-    scores, history, out = conclude(results, checkpoints, Pages()), results.history, results.out
-    if results.refines_cameras:
-        say(f"cameras {out / 'refined' / PLACE}")
-    if history.bad_steps or history.broken:
-        say(
-            f"{history.bad_steps:,} steps had no finite loss and changed nothing; {history.broken:,} "
-            "Gaussians that were not finite were removed"
-        )
-    for name, weight in results.doubted.items():
-        say(
-            f"{name} does not fit the other photos, so its weight was {weight:.2g} at the end. "
-            "Weigh all equally: --photo-weights equal"
-        )
-    if scores:
-        corrected = f" ({scores.corrected_psnr:.2f} dB colour-corrected)" if results.compensates else ""
-        count = counted(len(scores.views), "held-out photo")
-        say(f"test PSNR {scores.psnr:.2f} dB{corrected}, SSIM {scores.ssim:.4f} over {count}")
-    say(f"scene   {out / 'scene.ply'}")
-    say(f"report  {out / 'report.html'}")

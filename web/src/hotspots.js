@@ -1,4 +1,4 @@
-// Notes at places of the scene: buttons that follow the view, and tell their text when pressed.
+// Notes at places of the scene: buttons that follow the view, and show their text when pressed.
 import { Vector3 } from 'three';
 
 export class Hotspots {

@@ -1,6 +1,6 @@
 """The devices of a run, and which rows of the scene each of them owns.
 
-Rows are dealt in blocks of `BLOCK`: block b belongs to device b mod D, so a scene that keeps its living
+Rows are distributed in blocks of `BLOCK`: block b belongs to device b mod D, so a scene that keeps its living
 Gaussians first stays balanced. The computation for a row depends only on its block, never on D: XLA rounds
 elementwise work differently for arrays of other lengths, so work on rows is done in blocks of one length.
 

@@ -93,7 +93,7 @@ class SeveralViews:
     context: Gaussians | None = None
 
     def placed(self, state: TrainState) -> TrainState:
-        """Deals the rows of a state to the devices."""
+        """Distributes the rows of a state over the devices."""
         return self.dealt.placed(state)
 
     def gathered(self, state: TrainState, rows: int) -> TrainState:

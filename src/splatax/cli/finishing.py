@@ -1,4 +1,4 @@
-"""Writes the results of a run, and prints its scores and where everything is."""
+"""Writes the results of a run, and prints its scores and the paths of its files."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,7 +13,7 @@ from splatax.runs.results import Results, conclude
 
 
 def written(results: Results, checkpoints: Checkpoints) -> None:
-    """Writes the results of a run and prints where they are; if the user stops that, how to write them."""
+    """Writes the results of a run and prints their paths; if the user stops it, prints how to resume."""
     with told_how_to_finish(results.out):
         _write(results, checkpoints)
 

@@ -276,7 +276,7 @@ def _number(dataset: Dataset) -> list[Complaint]:
         Complaint(
             f"There are only {counted(count)}.",
             "Each part of the scene should be in at least five of them.",
-            "Take more from other places, so that all that hides behind things is seen from somewhere."
+            "Take more from other viewpoints, so that each hidden surface is seen in some photos."
             if any(view.face_of for view in dataset.views)
             else "Take 50 to 200, around the subject at two or three heights.",
         )

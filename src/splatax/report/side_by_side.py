@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from PIL import Image, ImageDraw
@@ -19,8 +19,6 @@ COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e3
 CROP_SHARE = 1 / 5  # of the shorter side of a picture
 CROP_SHOWN = 360  # pixels that a crop is enlarged to, at least
 COLUMNS = 3  # of the faces of a 360-degree photo in one picture
-
-Shaped = TypeVar("Shaped", bound=np.ndarray)  # pictures or masks
 
 
 @dataclass(frozen=True)
@@ -131,7 +129,7 @@ def most_different(images: Sequence[Picture], mask: Mask | None = None) -> tuple
     return left, top, left + side, top + side
 
 
-def joined(faces: Sequence[Shaped]) -> Shaped:
+def joined(faces: Sequence[np.ndarray]) -> np.ndarray:
     """Returns the faces of a 360-degree photo, or masks of them, as one picture, in rows of `COLUMNS`.
 
     A single picture stays as it is. Places without a face, and what lies beside smaller ones, are zero.

@@ -62,9 +62,9 @@ class Surfaces:
 
     spread: float = 0.1
     consistency: float = 0.0
-    points: float = 0.4
+    points: float = 0.6
     spread_limit: float = 0.05
-    points_limit: float = 0.02
+    points_limit: float = 0.01
 
     @property
     def outputs(self) -> Mapping[str, Output]:
@@ -83,16 +83,18 @@ class Surfaces:
         if self.consistency:
             penalty += self.consistency * inconsistency(images["facing"], depth, seen.camera)
         if self.points and seen.landmarks is not None:
-            penalty += self.points * error_at(
-                seen.landmarks, depth, seen.camera, limit=self.points_limit
-            )
+            penalty += self.points * error_at(seen.landmarks, depth, seen.camera, limit=self.points_limit)
         return penalty
 
 
 def saturated(error: Float[Array, "*shape"], limit: float) -> Float[Array, "*shape"]:
-    """Returns errors of at least zero as e / (1 + e / limit): about e far below the limit, and never above it.
+    """Returns e / (1 + e / limit) for errors e: about e if it is small, and at most the limit.
 
     The slope is 1 at zero, 1 / 4 at the limit, and 1 / 100 at nine times the limit.
+
+    Args:
+        error: errors of at least zero.
+        limit: in the unit of the errors; infinity returns them as they are.
     """
     return error / (1 + error / limit)
 

@@ -1,14 +1,14 @@
-"""Measures and draws the geometry of the demo scene, with and without regularizers, beside the truth.
+"""Measures and draws the geometry of trained scenes of the demo, beside the truth.
 
-    python docs/make_geometry.py [STEPS]
+    splatax demo --out RUN                             and
+    splatax train RUN/capture --out RUN2 --geometry
+    python docs/make_geometry.py RUN/capture RUN RUN2
 
-The script trains both scenes, prints the table of docs/geometry.md, and writes docs/images/geometry.jpg:
-truth, `default` and `default` with surfaces from top to bottom; colour, depth and normals from left to right.
+The script prints the table of docs/geometry.md, and writes docs/images/geometry.jpg: truth and runs from top
+to bottom; colour, depth and normals from left to right.
 """
 
 import sys
-import time
-from dataclasses import replace
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -19,28 +19,21 @@ import splatax as sx
 from splatax.demo.raycast import truth
 from splatax.demo.scenes import DEFAULT, scene_named
 from splatax.report.pictures import depth_range, shaded
-from splatax.training.geometry import Surfaces
-from splatax.training.recipes import room_for
 
 IMAGES = Path(__file__).parent / "images"
 OUTPUTS = ("rgb", "alpha", "depth", "median_depth", "surface_depth", "median_surface_depth", "normals")
 DEPTHS = OUTPUTS[2:6]
 
 
-def main(steps: int) -> None:
-    dataset = sx.demo_dataset()
-    plain = sx.recipes.default(steps=steps, max_gaussians=room_for(dataset))
-    surfaces = replace(plain, objective=replace(plain.objective, geometry=Surfaces()))
+def main(capture: Path, runs: list[Path]) -> None:
+    dataset = sx.load_dataset(capture)
     known = [truth(view.camera, scene_named(DEFAULT)) for view in dataset.test]
     limits = depth_range(np.asarray(known[0].depth), np.isfinite(known[0].depth))
     rows = [row(dataset.test[0].pixels(), known[0].depth, known[0].normals, limits)]
-    for name, recipe in (("default", plain), ("geometry", surfaces)):
-        began, used = time.monotonic(), time.process_time()
-        scene = sx.fit(dataset, recipe)
-        wall, cpu = time.monotonic() - began, time.process_time() - used
+    for run in runs:
+        scene = sx.load(run / "scene.ply")
         drawn = [sx.render(scene, view.camera, outputs=OUTPUTS) for view in dataset.test]
-        print(f"{name}: {wall:.0f} s, {cpu:.0f} s of CPU time, {len(scene):,} Gaussians")
-        print(f"  PSNR {sx.evaluate(scene, dataset.test, renderer=recipe.renderer).psnr:.2f} dB")
+        print(f"{run.name}: {len(scene):,} Gaussians, PSNR {sx.evaluate(scene, dataset.test).psnr:.2f} dB")
         print(f"  median opacity {np.median(scene.opacities):.2f}")
         for depth in DEPTHS:
             print(f"  {depth}: " + in_words(depth, drawn, known))
@@ -49,7 +42,7 @@ def main(steps: int) -> None:
         colors = np.round(255 * np.clip(first.rgb, 0, 1)).astype(np.uint8)
         rows.append(row(colors, first.surface_depth, first.normals, limits))
     IMAGES.mkdir(exist_ok=True)
-    Image.fromarray(np.concatenate(rows)).resize((960, 720), Image.Resampling.NEAREST).save(
+    Image.fromarray(np.concatenate(rows)).resize((960, 240 * len(rows)), Image.Resampling.NEAREST).save(
         IMAGES / "geometry.jpg", quality=85
     )
 
@@ -85,4 +78,4 @@ def row(
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 2_000)
+    main(Path(sys.argv[1]), [Path(run) for run in sys.argv[2:]])

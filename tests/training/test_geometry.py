@@ -13,7 +13,7 @@ from splatax import backends
 from splatax.outputs import OUTPUTS, Output
 from splatax.surfaces import positions_of
 from splatax.training.feed import MOST_LANDMARKS, Batch, landmarks_of
-from splatax.training.geometry import FACING, LAYERS, Surfaces, error_at, inconsistency
+from splatax.training.geometry import FACING, LAYERS, Surfaces, error_at, inconsistency, saturated
 from splatax.training.loop import first_state
 from splatax.training.objectives import TrainingView
 from splatax.training.priors import Flatness, Priors, Sparsity
@@ -73,6 +73,27 @@ def test_the_error_at_landmarks_between_pixels_is_zero_on_a_plane():
     depth = sx.render(plane, CAMERA, outputs=("surface_depth",)).surface_depth
     points = jnp.asarray(np.random.default_rng(0).uniform(-0.9, 0.9, (40, 3)) * [1, 0.6, 0], jnp.float32)
     assert error_at(points, depth, CAMERA) < 1e-5
+
+
+def test_errors_pull_less_the_farther_they_are_beyond_their_limit():
+    errors = jnp.array([0.0, 1e-4, 0.02, 0.18, 50.0])
+    values, slopes = jax.vmap(jax.value_and_grad(lambda error: saturated(error, 0.02)))(errors)
+    assert_allclose(values, [0, 1e-4 / 1.005, 0.01, 0.018, 0.02], rtol=1e-3)
+    assert_allclose(slopes, [1, 1 / 1.005**2, 1 / 4, 1 / 100, 0], atol=1e-6)
+    assert_array_equal(saturated(errors, np.inf), errors)
+
+
+def test_wrong_points_hardly_pull_the_depth_that_right_ones_agree_on():
+    """A wall at 1.01 times the depth of some points; as many others are three times as far."""
+    wall = jnp.full((24, 32), 3.0)
+    near = positions_of(CAMERA, 3.0 / 1.01 * jnp.ones_like(wall)).reshape(-1, 3)
+    known = jnp.concatenate([near[::2], positions_of(CAMERA, 3 * wall).reshape(-1, 3)[1::2]])
+
+    def pull(limit):
+        return jax.grad(lambda depth: error_at(known, depth * wall, CAMERA, limit=limit))(jnp.float32(1))
+
+    assert pull(np.inf) < 0  # the far ones win: their relative error has the larger slope
+    assert pull(Surfaces().points_limit) > 0
 
 
 def test_the_penalty_has_the_gradient_of_finite_differences(x64):
@@ -148,7 +169,7 @@ def test_training_with_surfaces_moves_the_drawn_depth_to_the_landmarks():
     recipe = replace(RECIPE, steps=12)
     errors = []
     for weight in (0.0, 5.0):
-        objective = Objective(geometry=Surfaces(0.0, 0.0, weight, final=1.0))
+        objective = Objective(geometry=Surfaces(0.0, 0.0, weight, points_limit=1.0))
         trained = sx.fit(replace(dataset, train=views), replace(recipe, objective=objective))
         depth = sx.render(trained, views[0].camera, outputs=("surface_depth",)).surface_depth
         errors.append(error_at(jnp.asarray(points), depth, views[0].camera))

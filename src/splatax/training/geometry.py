@@ -6,8 +6,12 @@
 
 E is the mean over the Gaussians at a pixel, weighted like colour; w the inverse depth of a Gaussian's plane
 at the pixel, n its normal, and N the normal of the depth image 1 / E[w].
+
+Spread and points saturate: a spread or an error e counts as e / (1 + e / limit). Edges of objects, thin and
+transparent things, and wrong points have large errors that no scene can avoid, and hardly pull.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -24,7 +28,6 @@ from splatax.outputs import Output
 from splatax.stages import composite
 from splatax.surface_outputs import from_middle, surface_channels, surface_depth
 from splatax.surfaces import normals_of, planes
-from splatax.training import per_photo
 from splatax.training.objectives import TrainingView
 
 LEAST_VARIANCE = 1e-8  # of relative depth, below which float32 cannot tell it from zero
@@ -53,13 +56,15 @@ class Surfaces:
         consistency: weight of 1 minus the cosine between the Gaussians' normals and that of the depth image
             (Huang et al. 2024, Eq. 14).
         points: weight of the relative depth error at landmarks.
-        final: factor of all weights at the end of the run, from 1 at its start; log-linear between.
+        spread_limit: spread to which a larger one tends in the penalty, see `saturated`.
+        points_limit: relative error to which a larger one tends in the penalty.
     """
 
     spread: float = 0.1
     consistency: float = 0.0
-    points: float = 0.2
-    final: float = 1.0
+    points: float = 0.6
+    spread_limit: float = 0.05
+    points_limit: float = 0.01
 
     @property
     def outputs(self) -> Mapping[str, Output]:
@@ -74,12 +79,24 @@ class Surfaces:
     def __call__(self, images: Mapping[str, Any], seen: TrainingView) -> Float[Array, ""]:
         """Returns the sum of the penalties; see `splatax.training.protocols.Geometry`."""
         depth, spread, _ = images["layers"]
-        penalty = self.spread * jnp.mean(spread)
+        penalty = self.spread * jnp.mean(saturated(spread, self.spread_limit))
         if self.consistency:
             penalty += self.consistency * inconsistency(images["facing"], depth, seen.camera)
         if self.points and seen.landmarks is not None:
-            penalty += self.points * error_at(seen.landmarks, depth, seen.camera)
-        return penalty * per_photo.log_linear(1.0, self.final, seen.progress)
+            penalty += self.points * error_at(seen.landmarks, depth, seen.camera, limit=self.points_limit)
+        return penalty
+
+
+def saturated(error: Float[Array, "*shape"], limit: float) -> Float[Array, "*shape"]:
+    """Returns e / (1 + e / limit) for errors e: about e if it is small, and at most the limit.
+
+    The slope is 1 at zero, 1 / 4 at the limit, and 1 / 100 at nine times the limit.
+
+    Args:
+        error: errors of at least zero.
+        limit: in the unit of the errors; infinity returns them as they are.
+    """
+    return error / (1 + error / limit)
 
 
 def inconsistency(
@@ -100,7 +117,9 @@ def inconsistency(
     return jnp.mean(jnp.where(exists, facing[..., 3] - cosine, 0))
 
 
-def error_at(landmarks: Float[Array, "k 3"], depth: Float[Array, "h w"], camera: Camera) -> Float[Array, ""]:
+def error_at(
+    landmarks: Float[Array, "k 3"], depth: Float[Array, "h w"], camera: Camera, *, limit: float = math.inf
+) -> Float[Array, ""]:
     """Returns the mean relative error of inverse depth at points that the view shows.
 
     Inverse depth is interpolated between the centres of pixels, which is exact on a plane through a pinhole.
@@ -109,6 +128,7 @@ def error_at(landmarks: Float[Array, "k 3"], depth: Float[Array, "h w"], camera:
         landmarks: world points; rows that are not finite stand for none.
         depth: depth by the lens, world units; 0 where nothing is.
         camera: of the view.
+        limit: to which the error of a point tends, see `saturated`.
     """
     ahead = camera.position + camera.rotation[2]
 
@@ -126,7 +146,7 @@ def error_at(landmarks: Float[Array, "k 3"], depth: Float[Array, "h w"], camera:
         across, down = x - left, y - top
         weights = jnp.outer(jnp.stack([1 - down, down]), jnp.stack([1 - across, across]))
         error = camera.lens.depth(local) * jnp.sum(weights / jnp.where(counts, corners, 1)) - 1
-        return jnp.where(counts, jnp.abs(error), 0), counts
+        return jnp.where(counts, saturated(jnp.abs(error), limit), 0), counts
 
     errors, counts = jax.vmap(one)(landmarks)
     return jnp.sum(errors) / jnp.maximum(jnp.sum(counts), 1)

@@ -1,14 +1,15 @@
 #include "binning.h"
 
 #include <algorithm>
-#include <cmath>
 #include <cstring>
 #include <numeric>
+
+#include "prepare.h"
 
 namespace splatax {
 namespace {
 
-constexpr int DIGIT_BITS = 11, DIGITS = 1 << DIGIT_BITS;  // radix sort in three passes
+constexpr int DIGIT_BITS = 11;  // of the radix sort, at most: three passes, or fewer where the keys are close together
 
 constexpr int SMALL_BOX = 4;  // tiles; smaller boxes are listed without testing the ellipse
 
@@ -19,37 +20,28 @@ uint32_t sort_key(float depth) {
   return bits & 0x80000000u ? ~bits : bits | 0x80000000u;
 }
 
-// Fills in a splat and its box of tiles; false if no pixel centre is inside its box.
-bool prepare(const Input& input, int row, Splat& splat) {
-  const float x = input.means2d[2 * row], y = input.means2d[2 * row + 1];
-  const float half_width = input.extents[2 * row], half_height = input.extents[2 * row + 1];
-  const float opacity = input.opacities[row];
-  // The condition is written so that NaN is culled.
-  if (!(half_width > 0 && half_height > 0 && opacity >= MIN_ALPHA)) return false;
-  const float left = std::max(std::ceil(x - half_width - 0.5f), 0.0f);
-  const float right = std::min(std::floor(x + half_width - 0.5f), input.width - 1.0f);
-  const float top = std::max(std::ceil(y - half_height - 0.5f), 0.0f);
-  const float bottom = std::min(std::floor(y + half_height - 0.5f), input.height - 1.0f);
-  if (!(left <= right && top <= bottom)) return false;
-
-  const float u = input.sqrt_conics[3 * row] * ROOT_HALF_LOG2_E;
-  const float v = input.sqrt_conics[3 * row + 1] * ROOT_HALF_LOG2_E;
-  const float w = input.sqrt_conics[3 * row + 2] * ROOT_HALF_LOG2_E;
-  splat.x = x, splat.y = y, splat.u = u, splat.v = v, splat.w = w;
-  splat.level = std::log2(opacity);
-  splat.reach = (splat.level - LOG2_MIN_ALPHA) * 1.001f + 1e-3f;
-  splat.x_per_y = u != 0 ? -v / u : 0;
-  splat.y_per_x = v != 0 || w != 0 ? -u * v / (v * v + w * w) : 0;
-  splat.row = row;
-  splat.first_column = static_cast<uint16_t>(left / TILE);
-  splat.last_column = static_cast<uint16_t>(right / TILE);
-  splat.first_row = static_cast<uint16_t>(top / TILE);
-  splat.last_row = static_cast<uint16_t>(bottom / TILE);
-  return true;
-}
-
 int box_tiles(const Splat& splat) {
   return (splat.last_column - splat.first_column + 1) * (splat.last_row - splat.first_row + 1);
+}
+
+// Returns whether the box is at most two tiles wide and high. Nearly all splats are so small in small images.
+bool is_tiny(const Splat& splat) {
+  return splat.last_column - splat.first_column <= 1 && splat.last_row - splat.first_row <= 1;
+}
+
+constexpr int NONES = 3;  // tiles that a tiny box may lack
+
+// Calls body(tile, place) four times, for the tiles of a tiny box and their places among them. For a tile that the box
+// does not have, `none` or one of the next two numbers is called: without branches, because their outcomes are as good as
+// random, and with three numbers, so that a counter is not incremented three times in a row.
+template <class Body>
+void each_tile_of_tiny(const Splat& splat, int columns, int none, const Body& body) {
+  const int right = splat.last_column - splat.first_column, down = splat.last_row - splat.first_row;
+  const int corner = splat.first_row * columns + splat.first_column;
+  body(corner, 0);
+  body(right ? corner + 1 : none, 1);
+  body(down ? corner + columns : none + 1, 1 + right);
+  body(right & down ? corner + columns + 1 : none + 2, 3);
 }
 
 template <class Body>
@@ -109,7 +101,7 @@ int append_spans(const Splat& splat, std::vector<Span>& spans) {
 }  // namespace
 
 void Binning::collect(const Input& input, Workers& workers, int64_t max_pairs) {
-  listed_ = NONE, loaded_ = false;
+  listed_ = NONE;
   count_ = input.count;
   channel_count_ = input.channel_count;
   width_ = input.width;
@@ -121,10 +113,9 @@ void Binning::collect(const Input& input, Workers& workers, int64_t max_pairs) {
   std::vector<int> found(workers.count(), 0), begins(workers.count(), 0);
   workers.ranges(input.count, [&](int range, int begin, int end) {
     int place = begin;
-    for (int row = begin; row < end; ++row) {
-      if (!prepare(input, row, collected[place])) continue;
-      keys[place] = sort_key(input.depths[row]);
-      ++place;
+    for (int first = begin; first < end; first += LANES) {
+      const Prepared rows(input, first, std::min(LANES, end - first));
+      if (rows.drawn) rows.write(collected + place, [&](int row) { keys[place++] = sort_key(input.depths[row]); });
     }
     begins[range] = begin, found[range] = place - begin;
   });
@@ -163,23 +154,18 @@ void Binning::divide(int64_t max_pairs) {
   }
 }
 
-void Binning::load_channels(const Input& input, Workers& workers) {
-  if (loaded_) return;
-  loaded_ = true;
-  const int size = input.channel_count;
-  workers.ranges(visible, [&](int, int begin, int end) {
-    for (int i = begin; i < end; ++i) {
-      const float* from = input.channels + static_cast<size_t>(splats[i].row) * size;
-      for (int c = 0; c < GROUP; ++c) splats[i].channels[c] = c < size ? from[c] : 0;
-    }
-  });
-}
-
+// Sorts by the distance of keys from the least one, which has fewer digits than they have: the depths of a scene often
+// share the leading bits.
 void Binning::order(Workers& workers) {
   sorted_keys_.at_least(visible), sorted_places_.at_least(visible);
-  for (int shift = 0; shift < 32; shift += DIGIT_BITS) {
-    histogram_.clear(workers.count(), DIGITS);
-    const auto digit = [&](int i) { return (keys_[i] >> shift) & (DIGITS - 1); };
+  if (visible == 0) return;
+  const auto [least, most] = std::minmax_element(keys_.get(), keys_.get() + visible);
+  const uint32_t origin = *least, span = *most - origin;
+  const int bits = span == 0 ? 0 : 32 - __builtin_clz(span), passes = (bits + DIGIT_BITS - 1) / DIGIT_BITS;
+  const int width = passes == 0 ? 0 : (bits + passes - 1) / passes, digits = 1 << width;
+  for (int shift = 0; shift < bits; shift += width) {
+    histogram_.clear(workers.count(), digits);
+    const auto digit = [&](int i) { return ((keys_[i] - origin) >> shift) & (digits - 1); };
     workers.ranges(visible, [&](int range, int begin, int end) {
       int32_t* counts = histogram_.of(range);
       for (int i = begin; i < end; ++i) ++counts[digit(i)];
@@ -202,7 +188,8 @@ void Binning::list(int number, Workers& workers) {
   const Round& round = rounds[number];
   const int count = round.end - round.begin, ranges = workers.count();
   int32_t* first = first_pair.at_least(count + 1);
-  histogram_.clear(ranges, tiles());
+  const int none = tiles();  // where tiny boxes have no tile
+  histogram_.clear(ranges, tiles() + NONES);
   spans_.resize(std::max(spans_.size(), static_cast<size_t>(ranges)));
   workers.ranges(count, [&](int range, int begin, int end) {
     int32_t* counts = histogram_.of(range);
@@ -210,6 +197,11 @@ void Binning::list(int number, Workers& workers) {
     spans.clear();
     for (int i = begin; i < end; ++i) {
       const Splat& splat = splats[round.begin + i];
+      if (is_tiny(splat)) {
+        first[i] = box_tiles(splat);
+        each_tile_of_tiny(splat, columns, none, [&](int tile, int) { ++counts[tile]; });
+        continue;
+      }
       if (is_small(splat)) {  // the blocks of its tiles are tested later
         first[i] = box_tiles(splat);
         each_tile_of_box(splat, [&](int row, int column) { ++counts[row * columns + column]; });
@@ -223,6 +215,7 @@ void Binning::list(int number, Workers& workers) {
         }
       }
     }
+    std::fill_n(counts + none, NONES, 0);
   });
   int32_t total = 0;
   for (int i = 0; i <= count; ++i) {
@@ -231,14 +224,21 @@ void Binning::list(int number, Workers& workers) {
   }
   histogram_.place();
   int32_t* begins = starts_.at_least(tiles() + 1);
-  std::copy_n(histogram_.of(0), tiles(), begins);
-  begins[tiles()] = total;
-  Pair* all = pairs_.at_least(total);
+  std::copy_n(histogram_.of(0), tiles() + 1, begins);
+  Pair* all = pairs_.at_least(total + ranges);  // behind the lists, a place for each range's pairs with no tile
   workers.ranges(count, [&](int range, int begin, int end) {
     int32_t* next = histogram_.of(range);
     const Span* span = spans_[range].data();
+    std::fill_n(next + none, NONES, total + range);
     for (int i = begin; i < end; ++i) {
       const Splat& splat = splats[round.begin + i];
+      if (is_tiny(splat)) {
+        each_tile_of_tiny(splat, columns, none, [&](int tile, int place) {
+          all[next[tile]] = {round.begin + i, first[i] + place};
+          next[tile] += tile < none;
+        });
+        continue;
+      }
       if (is_small(splat)) {
         int32_t index = first[i];
         each_tile_of_box(splat, [&](int row, int column) { all[next[row * columns + column]++] = {round.begin + i, index++}; });

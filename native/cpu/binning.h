@@ -46,11 +46,9 @@ class Binning {
  public:
   static constexpr int FEW = 8;  // a round has few pairs if it has this many times fewer than it may have
 
-  // Steps 1 and 2. Afterwards `splats` holds the `visible` splats in depth order, in at least one round.
+  // Steps 1 and 2. Afterwards `splats` holds the `visible` splats in depth order, in at least one round, with their
+  // channels if there are at most GROUP.
   void collect(const Input& input, Workers& workers, int64_t max_pairs);
-
-  // Copies the channels of the input, at most GROUP, to the splats, unless they are already there.
-  void load_channels(const Input& input, Workers& workers);
 
   // Step 3 for one of `rounds`, unless it was the last one that was listed. Afterwards `tile` returns
   // the tiles of the round, which have `pair_count()` pairs. The pairs of splat i have the indices from
@@ -83,8 +81,7 @@ class Binning {
   void order(Workers& workers);
   void divide(int64_t max_pairs);
 
-  int listed_ = NONE;    // round
-  bool loaded_ = false;  // channels
+  int listed_ = NONE;  // round
   int count_ = NONE, channel_count_ = NONE, width_ = NONE, height_ = NONE;  // sizes of the input
 
   Buffer<Pair> pairs_;

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "binning.h"
-#include "lanes.h"
+#include "columns.h"
 #include "splats.h"
 
 namespace splatax {
@@ -18,17 +18,18 @@ struct Chunk {
   template <int C>
   void gather(const Splat* splats, const Pair* pairs, int count) {
     size = count;
-    for (int i = 0; i < count; ++i) {
-      const Splat& splat = splats[pairs[i].splat];
-      x[i] = splat.x, y[i] = splat.y, u[i] = splat.u, v[i] = splat.v, w[i] = splat.w;
-      level[i] = splat.level, reach[i] = splat.reach;
-      x_per_y[i] = splat.x_per_y, y_per_x[i] = splat.y_per_x;
-      for (int c = 0; c < C; ++c) channels[c][i] = splat.channels[c];
+    for (int first = 0; first < count; first += LANES) {
+      const float* rows[LANES];
+      for (int lane = 0; lane < LANES; ++lane) rows[lane] = &splats[pairs[std::min(first + lane, count - 1)].splat].x;
+      float* const fields[] = {x, y, u, v, w, level, reach, x_per_y, y_per_x, channels[0], channels[1], channels[2], channels[3]};
+      const auto read = [&](int from, int columns) {
+        read_columns([&](int lane) { return rows[lane] + from; }, columns, [&](int k) { return fields[from + k] + first; });
+      };
+      read(0, 4), read(4, 4), read(8, std::min(C + 1, 4));
+      if (C > 3) read(12, C - 3);
     }
     // Vectors read past the end, up to the next multiple of sixteen; splats there reach no pixel.
-    for (int i = count; i % LANES != 0; ++i) {
-      x[i] = y[i] = u[i] = v[i] = w[i] = x_per_y[i] = y_per_x[i] = 0, reach[i] = -1;
-    }
+    for (int i = count; i % LANES != 0; ++i) reach[i] = -1;
   }
 
   // Sets bit i of touching[b] where the ellipse of splat i reaches a pixel centre's rectangle of

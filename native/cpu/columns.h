@@ -4,10 +4,61 @@
 // faster, and on some machines much slower.
 #pragma once
 
+#include <algorithm>
+
 #include "lanes.h"
 #include "vectors.h"
 
 namespace splatax {
+
+#if defined(__AVX512F__)
+
+// Four rows of four numbers in each register, whose parts of four are transposed at once: of rows i, i + 4, i + 8 and
+// i + 12 in register i, part p becomes the rows 4 p to 4 p + 3 of the columns, which is the order of lanes.
+SPLATAX_INLINE void transpose_parts(__m512 (&r)[4]) {
+  const __m512 ab = _mm512_unpacklo_ps(r[0], r[1]), cd = _mm512_unpacklo_ps(r[2], r[3]);
+  const __m512 AB = _mm512_unpackhi_ps(r[0], r[1]), CD = _mm512_unpackhi_ps(r[2], r[3]);
+  r[0] = _mm512_shuffle_ps(ab, cd, 0x44), r[1] = _mm512_shuffle_ps(ab, cd, 0xee);
+  r[2] = _mm512_shuffle_ps(AB, CD, 0x44), r[3] = _mm512_shuffle_ps(AB, CD, 0xee);
+}
+
+// Reads `width` numbers, at most four, at row_at(lane) for each lane, and stores them as columns to to(k).
+template <class RowAt, class To>
+SPLATAX_INLINE void read_columns(const RowAt& row_at, int width, const To& to) {
+  const __mmask8 mask = static_cast<__mmask8>((1u << width) - 1);
+  const auto four = [&](int lane) { return width == 4 ? _mm_loadu_ps(row_at(lane)) : _mm_maskz_loadu_ps(mask, row_at(lane)); };
+  __m512 r[4];
+#pragma GCC unroll 4
+  for (int i = 0; i < 4; ++i) {
+    r[i] = _mm512_insertf32x4(_mm512_castps128_ps512(four(i)), four(i + 4), 1);
+    r[i] = _mm512_insertf32x4(_mm512_insertf32x4(r[i], four(i + 8), 2), four(i + 12), 3);
+  }
+  transpose_parts(r);
+#pragma GCC unroll 4
+  for (int k = 0; k < 4; ++k) {
+    if (k < width) _mm512_storeu_ps(to(k), r[k]);
+  }
+}
+
+// Writes `width` columns, at most four, from from(k) to the rows at row_at(lane).
+template <class From, class RowAt>
+SPLATAX_INLINE void write_columns(const From& from, int width, const RowAt& row_at) {
+  const __mmask8 mask = static_cast<__mmask8>((1u << width) - 1);
+  __m512 r[4];
+#pragma GCC unroll 4
+  for (int k = 0; k < 4; ++k) r[k] = _mm512_loadu_ps(from(k < width ? k : 0));
+  transpose_parts(r);
+  const auto put = [&](int lane, __m128 row) {
+    width == 4 ? _mm_storeu_ps(row_at(lane), row) : _mm_mask_storeu_ps(row_at(lane), mask, row);
+  };
+#pragma GCC unroll 4
+  for (int i = 0; i < 4; ++i) {
+    put(i, _mm512_castps512_ps128(r[i])), put(i + 4, _mm512_extractf32x4_ps(r[i], 1));
+    put(i + 8, _mm512_extractf32x4_ps(r[i], 2)), put(i + 12, _mm512_extractf32x4_ps(r[i], 3));
+  }
+}
+
+#else
 
 typedef float Four __attribute__((vector_size(16)));
 
@@ -26,6 +77,44 @@ SPLATAX_INLINE void transpose(Four& a, Four& b, Four& c, Four& d) {
   c = __builtin_shufflevector(AB, CD, 0, 1, 4, 5), d = __builtin_shufflevector(AB, CD, 2, 3, 6, 7);
 }
 
+// Reads `width` numbers, at most four, at row_at(lane) for each lane, and stores them as columns to to(k).
+template <class RowAt, class To>
+SPLATAX_INLINE void read_columns(const RowAt& row_at, int width, const To& to) {
+  for (int lane = 0; lane < LANES; lane += 4) {
+    if (width == 4) {
+      Four a = load_four(row_at(lane)), b = load_four(row_at(lane + 1));
+      Four c = load_four(row_at(lane + 2)), d = load_four(row_at(lane + 3));
+      transpose(a, b, c, d);
+      store_four(to(0) + lane, a), store_four(to(1) + lane, b);
+      store_four(to(2) + lane, c), store_four(to(3) + lane, d);
+    } else {
+      for (int k = 0; k < width; ++k) {
+        for (int i = lane; i < lane + 4; ++i) to(k)[i] = row_at(i)[k];
+      }
+    }
+  }
+}
+
+// Writes `width` columns, at most four, from from(k) to the rows at row_at(lane).
+template <class From, class RowAt>
+SPLATAX_INLINE void write_columns(const From& from, int width, const RowAt& row_at) {
+  for (int lane = 0; lane < LANES; lane += 4) {
+    if (width == 4) {
+      Four a = load_four(from(0) + lane), b = load_four(from(1) + lane);
+      Four c = load_four(from(2) + lane), d = load_four(from(3) + lane);
+      transpose(a, b, c, d);
+      store_four(row_at(lane), a), store_four(row_at(lane + 1), b);
+      store_four(row_at(lane + 2), c), store_four(row_at(lane + 3), d);
+    } else {
+      for (int i = lane; i < lane + 4; ++i) {
+        for (int k = 0; k < width; ++k) row_at(i)[k] = from(k)[i];
+      }
+    }
+  }
+}
+
+#endif
+
 // Up to MAX columns of sixteen rows.
 template <int MAX>
 class Columns {
@@ -42,43 +131,46 @@ class Columns {
   }
 
   SPLATAX_INLINE void read(const float* rows, int width, int count) {
-    const int whole = count == LANES ? width / 4 * 4 : 0;
-    for (int k = 0; k < whole; k += 4) {
-      for (int lane = 0; lane < LANES; lane += 4) {
-        const float* row = rows + lane * width + k;
-        Four a = load_four(row), b = load_four(row + width);
-        Four c = load_four(row + 2 * width), d = load_four(row + 3 * width);
-        transpose(a, b, c, d);
-        store_four(values_[k] + lane, a), store_four(values_[k + 1] + lane, b);
-        store_four(values_[k + 2] + lane, c), store_four(values_[k + 3] + lane, d);
-      }
-    }
-    for (int k = whole; k < width; ++k) {
-      for (int lane = 0; lane < LANES; ++lane) {
-        values_[k][lane] = rows[(lane < count ? lane : count - 1) * width + k];
-      }
-    }
+    const float* at[LANES];
+    for (int lane = 0; lane < LANES; ++lane) at[lane] = rows + std::min(lane, count - 1) * width;
+    read_at(at, width);
+  }
+
+  // Reads rows of an array by their numbers.
+  SPLATAX_INLINE void read(const float* array, int width, const int32_t* numbers, int count) {
+    const float* at[LANES];
+    for (int lane = 0; lane < LANES; ++lane) at[lane] = array + numbers[std::min(lane, count - 1)] * static_cast<size_t>(width);
+    read_at(at, width);
   }
 
   // Writes the first `count` rows of `width` numbers each.
   SPLATAX_INLINE void write(float* rows, int width, int count) const {
-    const int whole = count == LANES ? width / 4 * 4 : 0;
-    for (int k = 0; k < whole; k += 4) {
-      for (int lane = 0; lane < LANES; lane += 4) {
-        Four a = load_four(values_[k] + lane), b = load_four(values_[k + 1] + lane);
-        Four c = load_four(values_[k + 2] + lane), d = load_four(values_[k + 3] + lane);
-        transpose(a, b, c, d);
-        float* row = rows + lane * width + k;
-        store_four(row, a), store_four(row + width, b);
-        store_four(row + 2 * width, c), store_four(row + 3 * width, d);
-      }
+    if (count == LANES) {
+      each_four(width, [&](int k, int columns) {
+        write_columns([&](int c) { return values_[k + c]; }, columns, [&](int lane) { return rows + lane * width + k; });
+      });
+      return;
     }
-    for (int k = whole; k < width; ++k) {
+    for (int k = 0; k < width; ++k) {
       for (int lane = 0; lane < count; ++lane) rows[lane * width + k] = values_[k][lane];
     }
   }
 
  private:
+  SPLATAX_INLINE void read_at(const float* const (&at)[LANES], int width) {
+    each_four(width, [&](int k, int columns) {
+      read_columns([&](int lane) { return at[lane] + k; }, columns, [&](int c) { return values_[k + c]; });
+    });
+  }
+
+  // Calls body(k, columns) for each four columns, and for those that are left over.
+  template <class Body>
+  static SPLATAX_INLINE void each_four(int width, const Body& body) {
+    int k = 0;
+    for (; k + 4 <= width; k += 4) body(k, 4);
+    if (k < width) body(k, width - k);
+  }
+
   alignas(64) float values_[MAX][LANES];
 };
 

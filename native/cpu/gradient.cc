@@ -133,7 +133,6 @@ void rasterize_gradient(const Input& input, const Cotangents& cotangents, const 
     const bool three = input.channel_count == 3;
     const AddPart plain = three ? add_part<TileGradient<3, false>> : add_part<TileGradient<GROUP, false>>;
     const AddPart with_pull = three ? add_part<TileGradient<3, true>> : add_part<TileGradient<GROUP, true>>;
-    binning.load_channels(input, workers);
     return (pulled ? with_pull : plain)(input, cotangents, gradients, {0, input.channel_count}, workers, scratch);
   }
   const int width = walk_width(input, binning, max_pairs);

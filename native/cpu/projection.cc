@@ -23,8 +23,8 @@ void project_lanes(const Gaussians& gaussians, const View& view, const Projected
     const Direction direction(p.means.world, view);
     Lanes basis[MAX_COEFFICIENTS];
     harmonics(direction.unit.x, direction.unit.y, direction.unit.z, gaussians.coefficients, basis);
-    const int width_of_sh = 3 * gaussians.coefficients;
-    const Columns<3 * MAX_COEFFICIENTS> sh(gaussians.sh + row * width_of_sh, width_of_sh, count);
+    Columns<3 * MAX_COEFFICIENTS> sh;
+    read_fields(sh, gaussians, gaussians.sh, 3 * gaussians.coefficients, first, count);
     color = {broadcast(0.5f), broadcast(0.5f), broadcast(0.5f)};
     for (int k = 0; k < gaussians.coefficients; ++k) {
       color.x = multiply_add(basis[k], sh[3 * k], color.x);
@@ -54,8 +54,8 @@ int camera_fields(LensKind lens) {
   return fields;
 }
 
-void project_rows(const Gaussians& gaussians, const View& view, const Projected& splats) {
-  project_lanes<Pinhole>(gaussians, view, splats, 0, gaussians.count);
+void project_rows(const Gaussians& gaussians, const View& view, const Projected& splats, int first, int count) {
+  project_lanes<Pinhole>(gaussians, view, splats, first, count);
 }
 
 void project(int views, Workers& workers, const std::function<ProjectedView(int)>& view_of) {

@@ -1,6 +1,7 @@
 // EWA projection of sixteen Gaussians at a time, as in splatax/projection.py, its gradient and its tangents.
 #pragma once
 
+#include <cstdint>
 #include <vector>
 
 #include "parallel.h"
@@ -14,6 +15,7 @@ struct Gaussians {
   const float* opacity_logits;  // [count]
   const float* sh;              // [count coefficients 3]
   int count, coefficients;
+  const int32_t* rows = nullptr;  // the rows of the arrays that are meant, by number; null for all in order
 };
 
 // Numbers of a camera, before those of its lens; their gradients have the same layout.
@@ -77,8 +79,8 @@ struct PushedView {
 // Projects to all views of a batch. All have the same number of Gaussians, and the same lens.
 void project(int views, Workers& workers, const std::function<ProjectedView(int)>& view_of);
 
-// Projects up to sixteen Gaussians to one view, through a pinhole.
-void project_rows(const Gaussians& gaussians, const View& view, const Projected& splats);
+// Projects up to sixteen Gaussians, from `first` on, to one view through a pinhole.
+void project_rows(const Gaussians& gaussians, const View& view, const Projected& splats, int first, int count);
 
 // Pulls back the gradient of the splats of one view through a pinhole, and adds the camera's to `camera`.
 void pull_back_rows(const PulledBackView& job, double camera[CAMERA_FIELDS]);

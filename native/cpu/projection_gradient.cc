@@ -112,7 +112,8 @@ class PullBack {
                     pass.gaussians.coefficients, basis);
     const int numbers = 3 * pass.gaussians.coefficients;
     const size_t begin = row * numbers;
-    Columns<3 * MAX_COEFFICIENTS> sh(pass.gaussians.sh + begin, numbers, count);  // then its gradient
+    Columns<3 * MAX_COEFFICIENTS> sh;  // then its gradient
+    read_fields(sh, pass.gaussians, pass.gaussians.sh, numbers, static_cast<int>(row), count);
     // A colour that is clamped to zero has a zero gradient.
     Vector value{broadcast(0.5f), broadcast(0.5f), broadcast(0.5f)};
     for (int k = 0; k < pass.gaussians.coefficients; ++k) value = value + basis[k].value * sh.vector(3 * k);

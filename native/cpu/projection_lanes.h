@@ -15,6 +15,14 @@ constexpr float MAX_LOG_SCALE = 40;  // as in splatax/projection.py
 constexpr float LOG2_E = 1.442695041f;
 constexpr int PART = 4096;  // Gaussians that one thread works on at a time
 
+// Reads numbers of sixteen Gaussians, from `first` on, as columns.
+template <int MAX>
+SPLATAX_INLINE void read_fields(Columns<MAX>& columns, const Gaussians& gaussians, const float* array, int width, int first,
+                                int count) {
+  if (gaussians.rows) return columns.read(array, width, gaussians.rows + first, count);
+  columns.read(array + first * static_cast<size_t>(width), width, count);
+}
+
 // The part of the chain before the lens: means in camera axes.
 struct Means {
   Matrix rotation;      // columns of the camera's rotation
@@ -31,7 +39,9 @@ SPLATAX_INLINE Means means_of(const Gaussians& gaussians, const View& view, int 
     const float* column = camera + ROTATION + k;
     means.rotation.column[k] = {broadcast(column[0]), broadcast(column[3]), broadcast(column[6])};
   }
-  means.world = read_vectors(gaussians.means + 3 * static_cast<size_t>(first), count);
+  Columns<3> world;
+  read_fields(world, gaussians, gaussians.means, 3, first, count);
+  means.world = world.vector(0);
   const float* t = camera + TRANSLATION;
   const Vector point = means.rotation * means.world + Vector{broadcast(t[0]), broadcast(t[1]), broadcast(t[2])};
   means.seen = Lens::sees(point, camera);
@@ -75,7 +85,9 @@ struct Projection {
     b = dot(f, g);
     c = where(usable, cc + variance, broadcast(1));
 
-    const Lanes logit = read_numbers(gaussians.opacity_logits + first, count);
+    Columns<1> logits;
+    read_fields(logits, gaussians, gaussians.opacity_logits, 1, first, count);
+    const Lanes logit = logits[0];
     const Lanes decay = exp2(max(min(-LOG2_E * logit, broadcast(120)), broadcast(-120)));
     own_opacity = broadcast(1) / (decay + 1);
     const float least = view.least_fade;
@@ -85,8 +97,10 @@ struct Projection {
 
  private:
   void orient(const Gaussians& gaussians, int first, int count) {
-    const Columns<4> quats(gaussians.quats + 4 * static_cast<size_t>(first), 4, count);
-    const Columns<3> log_scales(gaussians.log_scales + 3 * static_cast<size_t>(first), 3, count);
+    Columns<4> quats;
+    Columns<3> log_scales;
+    read_fields(quats, gaussians, gaussians.quats, 4, first, count);
+    read_fields(log_scales, gaussians, gaussians.log_scales, 3, first, count);
     Lanes squared = broadcast(0);
     for (int k = 0; k < 4; ++k) {
       quat[k] = quats[k];

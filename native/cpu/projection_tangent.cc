@@ -28,8 +28,8 @@ struct Colors {
     Dual<3> duals[MAX_COEFFICIENTS];
     harmonics<Dual<3>>({unit.x, {one, zero, zero}}, {unit.y, {zero, one, zero}}, {unit.z, {zero, zero, one}},
                        gaussians.coefficients, duals);
-    const int numbers = 3 * gaussians.coefficients;
-    const Columns<3 * MAX_COEFFICIENTS> sh(gaussians.sh + static_cast<size_t>(first) * numbers, numbers, count);
+    Columns<3 * MAX_COEFFICIENTS> sh;
+    read_fields(sh, gaussians, gaussians.sh, 3 * gaussians.coefficients, first, count);
     value = {half, half, half};
     for (Vector& column : by_unit) column = {zero, zero, zero};
     for (int k = 0; k < gaussians.coefficients; ++k) {

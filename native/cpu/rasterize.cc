@@ -33,7 +33,6 @@ void rasterize(const Input& input, const Image& image, Workers& workers, Scratch
   scratch.binning.collect(input, workers, pairs_in_round(input, max_pairs));
   if (input.channel_count <= GROUP) {
     const auto draw = input.channel_count == 3 ? draw_tiles<3> : draw_tiles<GROUP>;
-    scratch.binning.load_channels(input, workers);
     return draw(input, image, input.channel_count, workers, scratch);
   }
   const int width = walk_width(input, scratch.binning, max_pairs);

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "harmonics.h"
 #include "views.h"
 
 namespace splatax {
@@ -82,6 +83,28 @@ void keep_gradient(const SceneViews& scene, int number, const Cotangents& cotang
   compress(visible, all, scene.channel_count, kept);
 }
 
+// Gradients of up to PULLED_BACK Gaussians, one after another.
+struct GradientsOfSome {
+  alignas(64) float means[3 * PULLED_BACK], quats[4 * PULLED_BACK], log_scales[3 * PULLED_BACK], opacity_logits[PULLED_BACK];
+  alignas(64) float sh[3 * MAX_COEFFICIENTS * PULLED_BACK];
+
+  GaussianGradients arrays() { return {means, quats, log_scales, opacity_logits, sh, nullptr}; }
+
+  // Adds them to these rows of arrays.
+  void add_to(const GaussianGradients& to, const int32_t* rows, int count, int coefficients) const {
+    const size_t numbers = 3 * static_cast<size_t>(coefficients);
+    const auto add = [](const float* from, size_t size, float* sum) {
+      for (size_t k = 0; k < size; ++k) sum[k] += from[k];
+    };
+    for (int i = 0; i < count; ++i) {
+      const size_t row = rows[i];
+      add(means + 3 * i, 3, to.means + 3 * row), add(quats + 4 * i, 4, to.quats + 4 * row);
+      add(log_scales + 3 * i, 3, to.log_scales + 3 * row), add(opacity_logits + i, 1, to.opacity_logits + row);
+      add(sh + numbers * i, numbers, to.sh + numbers * row);
+    }
+  }
+};
+
 // Sums the gradients of rows [begin, end) of the scene over the views, in their order.
 void sum_over_views(const SceneViews& scene, const std::vector<SplatGradients>& kept, int begin, int end,
                     const GaussianGradients& to, double* cameras, size_t stride) {
@@ -89,7 +112,7 @@ void sum_over_views(const SceneViews& scene, const std::vector<SplatGradients>& 
   const auto clear = [&](float* array, size_t columns) { std::fill(array + begin * columns, array + end * columns, 0.0f); };
   clear(to.means, 3), clear(to.quats, 4), clear(to.log_scales, 3), clear(to.opacity_logits, 1);
   clear(to.sh, 3 * static_cast<size_t>(coefficients));
-  Gathered<PULLED_BACK> own, gradient;
+  GradientsOfSome gradient;
   float ones[2 * PULLED_BACK];  // extents: none of these splats is culled
   std::fill_n(ones, 2 * PULLED_BACK, 1.0f);
   for (int number = 0; number < scene.views; ++number) {
@@ -98,10 +121,9 @@ void sum_over_views(const SceneViews& scene, const std::vector<SplatGradients>& 
     const size_t last = std::lower_bound(rows, rows + d.count, end) - rows;
     for (size_t at = std::lower_bound(rows, rows + d.count, begin) - rows; at < last; at += PULLED_BACK) {
       const int count = static_cast<int>(std::min<size_t>(PULLED_BACK, last - at));
-      own.gather(scene.gaussians, rows + at, count);
       const ProjectedCotangents cotangents{d.means2d.get() + 2 * at, d.sqrt_conics.get() + 3 * at, d.depths.get() + at,
                                            d.colors.get() + 3 * at, d.opacities.get() + at, ones};
-      pull_back_rows({own.gaussians(count, coefficients), scene.view(number), cotangents, gradient.gradients()},
+      pull_back_rows({gaussians_at(scene.gaussians, rows + at, count), scene.view(number), cotangents, gradient.arrays()},
                      cameras + number * stride);
       gradient.add_to(to, rows + at, count, coefficients);
     }

@@ -40,7 +40,7 @@ struct Splat {
   float level;             // log2(opacity)
   float reach;             // t^2 + s^2 beyond which alpha is under 1/255, and a margin for rounding
   float x_per_y, y_per_x;  // slopes to the nearest points on horizontal and vertical lines
-  float channels[GROUP];
+  float channels[GROUP];   // up to here, floats without gaps: chunks read them as an array
   int32_t row;             // row of the input
   uint16_t first_column, last_column, first_row, last_row;  // tiles that its box covers
 };

@@ -83,7 +83,6 @@ template <int C>
 void survey_few(const Input& input, const Survey& results, Workers& workers, Scratch& scratch) {
   Binning& binning = scratch.binning;
   const int size = input.channel_count, part_count = results.part_count;
-  binning.load_channels(input, workers);
   TileStates<TileSurvey<C>> states(binning, scratch);
   each_round(binning, workers, [&](const Round& round) {
     states.each_tile(workers, [&](const Tile& tile, TileSurvey<C>& state) {

@@ -46,10 +46,11 @@ class TileStates {
 // Calls visit(block, lane, pixel) for the pixels of a tile that are in the image.
 template <class Visit>
 void each_pixel(const Input& input, const Tile& tile, const Visit& visit) {
+  const bool whole = tile.left + TILE <= input.width && tile.top + TILE <= input.height;
   for (int b = 0; b < BLOCKS; ++b) {
     for (int lane = 0; lane < LANES; ++lane) {
       const int x = tile.left + block_left(b) + lane % BLOCK, y = tile.top + block_top(b) + lane / BLOCK;
-      if (x < input.width && y < input.height) visit(b, lane, static_cast<size_t>(y) * input.width + x);
+      if (whole || (x < input.width && y < input.height)) visit(b, lane, static_cast<size_t>(y) * input.width + x);
     }
   }
 }

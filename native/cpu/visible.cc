@@ -118,16 +118,12 @@ void Visible::make_room(int rows_at_most) {
 // Projects the splats [begin, end).
 void Visible::project(const Gaussians& gaussians, const View& view, int begin, int end) {
   const int32_t* all = rows.get();
-  Gathered<LANES> own;
-  own.prefetch(gaussians, all + begin, std::min(LANES, end - begin));
+  const Gaussians seen = gaussians_at(gaussians, all, end);
+  const Projected splats{means2d.get(), sqrt_conics.get(), depths.get(), extents.get(), colors.get(), opacities.get()};
+  prefetch(gaussians, all + begin, std::min(LANES, end - begin));
   for (int at = begin; at < end; at += LANES) {
-    const int number = std::min(LANES, end - at);
-    own.prefetch(gaussians, all + at + LANES, std::clamp(end - at - LANES, 0, LANES));
-    own.gather(gaussians, all + at, number);
-    const size_t first = at;
-    project_rows(own.gaussians(number, gaussians.coefficients), view,
-                 {means2d.get() + 2 * first, sqrt_conics.get() + 3 * first, depths.get() + first, extents.get() + 2 * first,
-                  colors.get() + 3 * first, opacities.get() + first});
+    prefetch(gaussians, all + at + LANES, std::clamp(end - at - LANES, 0, LANES));
+    project_rows(seen, view, splats, at, std::min(LANES, end - at));
   }
 }
 

@@ -53,51 +53,24 @@ struct SplatGradients {
   Buffer<float> means2d, sqrt_conics, opacities, colors, depths;
 };
 
-// Up to MAX Gaussians of a scene, copied so that they are one after another.
-template <int MAX>
-struct Gathered {
-  alignas(64) float means[3 * MAX], quats[4 * MAX], log_scales[3 * MAX], opacity_logits[MAX], sh[75 * MAX];
+// The Gaussians of a scene that have these numbers; nothing is copied.
+inline Gaussians gaussians_at(const Gaussians& scene, const int32_t* rows, int count) {
+  Gaussians some = scene;
+  some.rows = rows, some.count = count;
+  return some;
+}
 
-  void gather(const Gaussians& from, const int32_t* rows, int count) {
-    const size_t numbers = 3 * static_cast<size_t>(from.coefficients);
-    for (int i = 0; i < count; ++i) {
-      const size_t row = rows[i];
-      std::copy_n(from.means + 3 * row, 3, means + 3 * i);
-      std::copy_n(from.quats + 4 * row, 4, quats + 4 * i);
-      std::copy_n(from.log_scales + 3 * row, 3, log_scales + 3 * i);
-      opacity_logits[i] = from.opacity_logits[row];
-      std::copy_n(from.sh + numbers * row, numbers, sh + numbers * i);
-    }
+// Prefetches the rows into the caches.
+inline void prefetch(const Gaussians& from, const int32_t* rows, int count) {
+  constexpr size_t LINE = 16;  // floats
+  const size_t numbers = 3 * static_cast<size_t>(from.coefficients);
+  for (int i = 0; i < count; ++i) {
+    const size_t row = rows[i];
+    __builtin_prefetch(from.means + 3 * row), __builtin_prefetch(from.quats + 4 * row);
+    __builtin_prefetch(from.log_scales + 3 * row), __builtin_prefetch(from.opacity_logits + row);
+    const float* sh = from.sh + numbers * row;
+    for (size_t k = 0; k < numbers + LINE - 1; k += LINE) __builtin_prefetch(sh + k);
   }
-  // Prefetches the rows into the caches.
-  static void prefetch(const Gaussians& from, const int32_t* rows, int count) {
-    constexpr size_t LINE = 16;  // floats
-    const size_t numbers = 3 * static_cast<size_t>(from.coefficients);
-    for (int i = 0; i < count; ++i) {
-      const size_t row = rows[i];
-      __builtin_prefetch(from.means + 3 * row), __builtin_prefetch(from.quats + 4 * row);
-      __builtin_prefetch(from.log_scales + 3 * row), __builtin_prefetch(from.opacity_logits + row);
-      const float* sh = from.sh + numbers * row;
-      for (size_t k = 0; k < numbers + LINE - 1; k += LINE) __builtin_prefetch(sh + k);
-    }
-  }
-  // Adds them to these rows of arrays.
-  void add_to(const GaussianGradients& to, const int32_t* rows, int count, int coefficients) const {
-    const size_t numbers = 3 * static_cast<size_t>(coefficients);
-    const auto add = [](const float* from, size_t size, float* sum) {
-      for (size_t k = 0; k < size; ++k) sum[k] += from[k];
-    };
-    for (int i = 0; i < count; ++i) {
-      const size_t row = rows[i];
-      add(means + 3 * i, 3, to.means + 3 * row), add(quats + 4 * i, 4, to.quats + 4 * row);
-      add(log_scales + 3 * i, 3, to.log_scales + 3 * row), add(opacity_logits + i, 1, to.opacity_logits + row);
-      add(sh + numbers * i, numbers, to.sh + numbers * row);
-    }
-  }
-  Gaussians gaussians(int count, int coefficients) const {
-    return {means, quats, log_scales, opacity_logits, sh, count, coefficients};
-  }
-  GaussianGradients gradients() { return {means, quats, log_scales, opacity_logits, sh, nullptr}; }
-};
+}
 
 }  // namespace splatax

@@ -158,7 +158,7 @@ def read(photo: Photo) -> Pixels:
 
 
 def copy(photo: Photo, path: Path) -> None:
-    """Copies a photo as it is; one that is not upright, or in a rare format, is decoded and written anew.
+    """Copies a photo as it is; one that is not upright, or in a rare format, is decoded and saved again.
 
     Raises:
         DatasetError: if the photo is damaged.

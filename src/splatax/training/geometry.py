@@ -8,7 +8,7 @@ E is the mean over the Gaussians at a pixel, weighted like colour; w the inverse
 at the pixel, n its normal, and N the normal of the depth image 1 / E[w].
 
 Spread and points saturate: a spread or an error e counts as e / (1 + e / limit). Edges of objects, thin and
-transparent things, and wrong points have large errors that no scene can avoid, and hardly pull.
+transparent objects, and wrong points have large errors that no scene can avoid, and get small gradients.
 """
 
 import math

@@ -113,3 +113,27 @@ def test_fragments_are_found(source, fault):
 )
 def test_sentences_and_private_names_pass(source):
     assert faults(source) == []
+
+
+CHECKOUT = Path(__file__).parents[1]
+TEXTS = [
+    *(CHECKOUT / name for name in ("README.md", "CHANGELOG.md", "Makefile")),
+    *sorted((CHECKOUT / "docs").glob("*.md")),
+    *sorted((ROOT / "cli").glob("*.py")),
+]
+ARCHAIC = re.compile(
+    r"\b(shall|anew|thereof|mend(s|ed)?|(is|are) but (a|an|the|one)|so as to|comes to the same)\b"
+    r"|without it:",
+    re.IGNORECASE,
+)
+
+
+@pytest.mark.parametrize("path", TEXTS, ids=lambda path: path.name)
+def test_docs_and_help_use_no_archaic_words(path):
+    assert [found.group() for found in ARCHAIC.finditer(path.read_text())] == []
+
+
+def test_archaic_words_are_found():
+    assert ARCHAIC.search("It is but a number.")
+    assert ARCHAIC.search("The seed. Without it: 0.")
+    assert not ARCHAIC.search("It is a recommended button, but a number would do.")

@@ -104,8 +104,10 @@ def test_a_capture_of_few_sizes_or_of_panoramas_has_no_canvases():
         few[0].on_canvas(29, 40)
 
 
-@pytest.mark.parametrize("backend", ["xla", "auto"])
-@pytest.mark.parametrize("lens", [None, opencv(-0.1, 0.02), Fisheye(jnp.zeros(4))])
+@pytest.mark.parametrize(
+    ("lens", "backend"),
+    [(None, "auto"), (opencv(-0.1, 0.02), "auto"), (Fisheye(jnp.zeros(4)), "auto"), (opencv(-0.1), "xla")],
+)
 def test_a_view_on_a_canvas_has_the_splats_of_the_view(lens, backend):
     """Culling and the limit of linearization are those of the photo, not of the canvas."""
     wide = random_gaussians(n=200, degree=0, spread=3.0, scale=(0.05, 0.5))
@@ -119,8 +121,13 @@ def test_a_view_on_a_canvas_has_the_splats_of_the_view(lens, backend):
         assert_allclose(one[drawn], other[drawn], rtol=1e-3, atol=1e-4)  # kernels round differently
 
 
-@pytest.mark.parametrize("backend", ["xla", "auto"])
-@pytest.mark.parametrize("frame", [(40, 32), (64, 48), (61, 48), (9, 46), (64, 3)])
+@pytest.mark.parametrize(
+    ("frame", "backend"),
+    [  # plain JAX has one formula for frames of any size; kernels have tiles and borders
+        ((9, 46), "xla"),
+        *((frame, "auto") for frame in [(40, 32), (64, 48), (61, 48), (9, 46), (64, 3)]),
+    ],
+)
 def test_the_loss_on_a_canvas_is_that_of_the_pictures_without_it(frame, backend):
     width, height = frame
     rng = np.random.default_rng(0)
@@ -137,15 +144,14 @@ def test_the_loss_on_a_canvas_is_that_of_the_pictures_without_it(frame, backend)
             kernel=kernel,
         )
 
-    expected, slope = jax.value_and_grad(lambda image: kernel(image, photo, 0.2))(image)
-    found, found_slope = jax.value_and_grad(on_canvas)(image)
+    expected, slope = jax.jit(jax.value_and_grad(lambda image: kernel(image, photo, 0.2)))(image)
+    found, found_slope = jax.jit(jax.value_and_grad(on_canvas))(image)
     fills = width * height / (CANVAS[0] * CANVAS[1])
     assert_allclose(found / fills, expected, rtol=2e-6)
     assert_allclose(found_slope / fills, slope, atol=2e-6 * float(jnp.max(jnp.abs(slope))))
 
 
-@pytest.mark.parametrize("masked", [False, True])
-@pytest.mark.parametrize("lens", [None, opencv(-0.1, 0.02)])
+@pytest.mark.parametrize(("lens", "masked"), [(None, True), (opencv(-0.1, 0.02), False)])
 def test_a_step_on_a_canvas_is_the_step_on_the_photo(lens, masked):
     view = view_of("a", camera_of((40, 32), lens), masked)
     recipe = RECIPE.on(sx.backends.resolve("auto"))
@@ -179,7 +185,8 @@ def compilations():
         jax.monitoring.unregister_event_duration_listener(listen)
 
 
-@pytest.mark.parametrize("stages", [(), pytest.param(((25, 2),), marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("stages", [(), ((25, 2),)])
 def test_a_capture_of_fifty_sizes_compiles_at_most_four_programs(stages):
     dataset = of_many_sizes(50)
     sizes = {(view.camera.width, view.camera.height) for view in dataset.train}

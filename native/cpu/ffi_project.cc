@@ -2,6 +2,7 @@
 #include <map>
 
 #include "ffi_view.h"
+#include "large_pages.h"
 
 namespace splatax {
 namespace {
@@ -20,6 +21,7 @@ ffi::Error project_forward(ffi::ThreadPool threads, FloatArray means, FloatArray
   checks.shape("extents", extents, {n, 2}).shape("colors", colors, {n, 3}).shape("opacities", opacities, {n});
   if (checks.failed()) return checks.error("project_forward");
   return guarded("project_forward", [&] {
+    all_in_large_pages(means2d, sqrt_conics, depths, extents, colors, opacities);
     Workers workers(threads, thread_limit);
     project(batch.views(), workers, [&](int view) {
       return ProjectedView{scene.gaussians(batch, view),
@@ -59,6 +61,7 @@ ffi::Error project_backward(ffi::ThreadPool threads, FloatArray means, FloatArra
   if (checks.failed()) return checks.error("project_backward");
   if (scene_checks.failed()) return scene_checks.error("project_backward");
   return guarded("project_backward", [&] {
+    all_in_large_pages(d_means, d_quats, d_log_scales, d_opacity_logits, d_sh);
     Workers workers(threads, thread_limit);
     const Batch& written = summed ? scenes : batch;
     const auto view_of = [&](int view) {

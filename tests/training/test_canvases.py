@@ -17,6 +17,7 @@ from splatax.cameras.canvases import canvases_for
 from splatax.cameras.lenses import Fisheye, opencv
 from splatax.dataset import hold_out
 from splatax.evaluation import MOST_SIZES, picture
+from splatax.training.canvases import filling
 from splatax.training.density import Classic, NoDensityControl
 from splatax.training.feed import batch, batches
 from splatax.training.groups import steps_of
@@ -25,7 +26,6 @@ from splatax.training.photo_cache import PhotoCache
 from splatax.training.recipes import ShSchedule, with_views
 from splatax.training.resolution import Resolution
 from splatax.training.schedule import Schedule
-from splatax.training.canvases import filling
 from splatax.training.step import compare
 from splatax.training.steppers import MOST_PROGRAMS, stepper_for
 

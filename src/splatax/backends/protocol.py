@@ -216,8 +216,8 @@ class Kernels:
             if you replace `project` or `composite` by kernels of your own.
         survey: `composite` and `select` in one kernel; None if the backend has only the two. It is not used
             if you replace one of them.
-        pull_and_move: the gradient of `project` and `move` in one kernel; None if the backend has only the two.
-            It is not used if you replace one of them.
+        pull_and_move: the gradient of `project` and `move` in one kernel; None if the backend has only the
+            two. It is not used if you replace one of them.
     """
 
     name: str

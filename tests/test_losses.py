@@ -128,4 +128,5 @@ def test_evaluation_ssim_is_scikit_images():
     expected = structural_similarity(
         image, photo, channel_axis=2, gaussian_weights=True, sigma=1.5, use_sample_covariance=False
     )
-    assert_allclose(metrics.ssim(image, photo), expected, atol=1e-9)
+    assert_allclose(metrics.ssim(image, photo), expected, atol=1e-6)
+    assert metrics.ssim(photo, photo) == 1

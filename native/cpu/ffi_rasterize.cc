@@ -2,6 +2,7 @@
 #include <map>
 
 #include "ffi.h"
+#include "large_pages.h"
 #include "rasterize.h"
 #include "roofline.h"
 #include "scratch_pool.h"
@@ -97,6 +98,7 @@ ffi::Error rasterize_backward(ffi::ThreadPool threads, FloatArray means2d, Float
   if (pulled) checks.range("channels beside pull", c, 0, NARROW_WALK);
   if (checks.failed()) return checks.error("rasterize_backward");
   return guarded("rasterize_backward", [&, w = w, h = h] {
+    all_in_large_pages(d_means2d, d_sqrt_conics, d_opacities, d_channels, d_pull);
     Workers all(threads, thread_limit);
     auto scratch = batch.views() == 1 ? pool.take(*ticket.typed_data(), splats.input(batch, 0, w, h)) : nullptr;
     const bool binned = scratch != nullptr;

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <limits>
+#include <vector>
 
 #include "columns.h"
 #include "flushing.h"
@@ -14,6 +15,7 @@ namespace splatax {
 namespace {
 
 constexpr int PART = 4096;  // rows that one thread works on at a time
+constexpr int CHUNK = 256;  // rows whose gradients are kept at a time
 constexpr float LOG2_E = 1.442695041f;
 constexpr float SHARPNESS = 100, FAINT = 0.005f, NOISELESS = 0.17135532f;  // as in splatax/moving.py
 constexpr float NOTHING = -std::numeric_limits<float>::infinity();         // logit of an empty slot
@@ -33,8 +35,9 @@ struct Place {
 // Moves sixteen rows at a time.
 class Mover {
  public:
-  explicit Mover(const Move& move)
+  Mover(const Move& move, const Fields<const float>& gradients)
       : move_(move),
+        gradients_(gradients),
         good_(number(GOOD) != 0),
         decay_(broadcast(number(MEAN_DECAY))),
         rest_(broadcast(number(MEAN_REST))),
@@ -51,6 +54,9 @@ class Mover {
       sh_free_[i] = move.sh_free[k];
     }
   }
+
+  // Takes other gradients from here on.
+  void follow(const Fields<const float>& gradients) { gradients_ = gradients; }
 
   void run(int first, int count) {
     const size_t row = first;
@@ -90,7 +96,7 @@ class Mover {
   SPLATAX_INLINE void field(float* Fields<float>::*own, const float* Fields<const float>::*of, size_t row, int width, int count,
                             const float* rates, const float* free, const Prior& prior) {
     const size_t begin = row * width;
-    const Place place{move_.scene.*own + begin, move_.gradients.*of + begin, move_.mean.*own + begin, move_.square.*own + begin};
+    const Place place{move_.scene.*own + begin, gradients_.*of + begin, move_.mean.*own + begin, move_.square.*own + begin};
     const int numbers = width * count;
     for (int at = 0; at + LANES <= numbers; at += LANES) {
       adam({place.values + at, place.gradients + at, place.means + at, place.squares + at}, at, rates, free, prior);
@@ -184,20 +190,58 @@ class Mover {
   }
 
   const Move& move_;
+  Fields<const float> gradients_;
   const bool good_;
   const Lanes decay_, rest_, square_decay_, square_rest_;
   alignas(64) float quat_rates_[4 * LANES], scale_rates_[3 * LANES], opacity_rates_[LANES], mean_rates_[3 * LANES];
   alignas(64) float sh_rates_[3 * MAX_COEFFICIENTS * LANES], sh_free_[3 * MAX_COEFFICIENTS * LANES];
 };
 
+// Gradients of up to CHUNK rows.
+class ChunkOfGradients {
+ public:
+  explicit ChunkOfGradients(int coefficients) : columns_{3, 4, 3, 1, 3 * coefficients} {
+    for (int field = 0; field < FIELDS; ++field) numbers_[field].resize(static_cast<size_t>(CHUNK) * columns_[field]);
+  }
+  // Arrays for rows from `first` on; their row 0 would be the first of the scene.
+  GaussianGradients from(int first) {
+    const auto at = [&](int field) { return numbers_[field].data() - static_cast<ptrdiff_t>(first) * columns_[field]; };
+    return {at(0), at(1), at(2), at(3), at(4), nullptr};
+  }
+
+ private:
+  static constexpr int FIELDS = 5;
+  const int columns_[FIELDS];
+  std::vector<float> numbers_[FIELDS];
+};
+
+// Moves rows [first, end).
+void move_some(Mover& mover, int first, int end) {
+  const Flushing flushing;
+  for (; first < end; first += LANES) mover.run(first, std::min(LANES, end - first));
+}
+
 }  // namespace
 
 void move_rows(const Move& move, Workers& workers) {
   workers.each((move.rows + PART - 1) / PART, [&](int part) {
-    const Flushing flushing;
-    Mover mover(move);
+    Mover mover(move, move.gradients);
+    move_some(mover, part * PART, std::min(move.rows, (part + 1) * PART));
+  });
+}
+
+void move_rows(const Move& move, GradientByRows& gradients, Workers& workers) {
+  workers.each((move.rows + PART - 1) / PART, [&](int part) {
+    ChunkOfGradients chunk(move.coefficients);
+    Mover mover(move, {});
     const int end = std::min(move.rows, (part + 1) * PART);
-    for (int first = part * PART; first < end; first += LANES) mover.run(first, std::min(LANES, end - first));
+    for (int first = part * PART; first < end; first += CHUNK) {
+      const int last = std::min(end, first + CHUNK);
+      const GaussianGradients found = chunk.from(first);
+      gradients.find(first, last - first, found);
+      mover.follow({found.means, found.quats, found.log_scales, found.opacity_logits, found.sh});
+      move_some(mover, first, last);
+    }
   });
 }
 

@@ -4,6 +4,7 @@
 #include <cstdint>
 
 #include "parallel.h"
+#include "projection.h"
 
 namespace splatax {
 
@@ -47,5 +48,8 @@ struct Move {
 
 // Moves all rows. Each row depends on itself alone, so the result is the same for any number of threads.
 void move_rows(const Move& move, Workers& workers);
+
+// Moves all rows by gradients that are found on the way, and never kept; `move.gradients` are not read.
+void move_rows(const Move& move, GradientByRows& gradients, Workers& workers);
 
 }  // namespace splatax

@@ -3,8 +3,75 @@
 namespace splatax {
 namespace {
 
+// Colours of sixteen Gaussians, from `first` on, by their spherical harmonics.
+Vector colors(const Vector& means, const Gaussians& gaussians, const View& view, int first, int count) {
+  const Direction direction(means, view);
+  Lanes basis[MAX_COEFFICIENTS];
+  harmonics(direction.unit.x, direction.unit.y, direction.unit.z, gaussians.coefficients, basis);
+  Columns<3 * MAX_COEFFICIENTS> sh;
+  read_fields(sh, gaussians, gaussians.sh, 3 * gaussians.coefficients, first, count);
+  Vector color{broadcast(0.5f), broadcast(0.5f), broadcast(0.5f)};
+  for (int k = 0; k < gaussians.coefficients; ++k) {
+    color.x = multiply_add(basis[k], sh[3 * k], color.x);
+    color.y = multiply_add(basis[k], sh[3 * k + 1], color.y);
+    color.z = multiply_add(basis[k], sh[3 * k + 2], color.z);
+  }
+  return color;
+}
+
+// Visible Gaussians among many that are not: their colours are computed sixteen at a time, so that the harmonics of the
+// others are not read.
+class Scattered {
+ public:
+  static constexpr int FEW = 10;  // visible ones of sixteen, for which it is worth while
+
+  Scattered(const Gaussians& gaussians, const View& view, const Projected& splats)
+      : gaussians_(gaussians), view_(view), splats_(splats) {}
+
+  // Takes the rows of a mask; their colours are written at the latest by `finish`.
+  void add(int first, unsigned mask) {
+    for (; mask != 0; mask &= mask - 1) rows_[count_++] = first + __builtin_ctz(mask);
+    if (count_ < LANES) return;
+    write(LANES);
+    count_ -= LANES;
+    std::copy_n(rows_ + LANES, count_, rows_);
+  }
+  void finish() {
+    if (count_ > 0) write(count_);
+    count_ = 0;
+  }
+
+ private:
+  void write(int count) {
+    Gaussians some = gaussians_;
+    some.rows = rows_, some.count = count;
+    Columns<3> means;
+    read_fields(means, some, some.means, 3, 0, count);
+    const Vector color = colors(means.vector(0), some, view_, 0, count);
+    const unsigned drawn = bits(finite(color.x) & finite(color.y) & finite(color.z));
+    alignas(64) float shown[3 * LANES];
+    write_vectors({max(color.x, broadcast(0)), max(color.y, broadcast(0)), max(color.z, broadcast(0))}, shown, count);
+    for (int i = 0; i < count; ++i) {
+      const size_t row = rows_[i];
+      if (drawn >> i & 1) {
+        std::copy_n(shown + 3 * i, 3, splats_.colors + 3 * row);
+      } else {
+        std::fill_n(splats_.extents + 2 * row, 2, 0.0f);
+      }
+    }
+  }
+
+  const Gaussians& gaussians_;
+  const View& view_;
+  const Projected& splats_;
+  int count_ = 0;
+  int32_t rows_[2 * LANES];
+};
+
+// Projects up to sixteen Gaussians. Colours of a few are left to `scattered`, if it is given.
 template <class Lens>
-void project_lanes(const Gaussians& gaussians, const View& view, const Projected& splats, int first, int count) {
+void project_lanes(const Gaussians& gaussians, const View& view, const Projected& splats, int first, int count,
+                   Scattered* scattered = nullptr) {
   const Projection<Lens> p(gaussians, view, first, count);
   const size_t row = first;
   const Lanes x = p.lens.pixel_x(), y = p.lens.pixel_y();
@@ -19,18 +86,10 @@ void project_lanes(const Gaussians& gaussians, const View& view, const Projected
   Mask visible = opaque & overlaps;
 
   Vector color{broadcast(0), broadcast(0), broadcast(0)};
-  if (any(visible)) {
-    const Direction direction(p.means.world, view);
-    Lanes basis[MAX_COEFFICIENTS];
-    harmonics(direction.unit.x, direction.unit.y, direction.unit.z, gaussians.coefficients, basis);
-    Columns<3 * MAX_COEFFICIENTS> sh;
-    read_fields(sh, gaussians, gaussians.sh, 3 * gaussians.coefficients, first, count);
-    color = {broadcast(0.5f), broadcast(0.5f), broadcast(0.5f)};
-    for (int k = 0; k < gaussians.coefficients; ++k) {
-      color.x = multiply_add(basis[k], sh[3 * k], color.x);
-      color.y = multiply_add(basis[k], sh[3 * k + 1], color.y);
-      color.z = multiply_add(basis[k], sh[3 * k + 2], color.z);
-    }
+  const unsigned which = bits(visible) & ((1u << count) - 1);
+  const bool later = scattered && which != 0 && __builtin_popcount(which) <= Scattered::FEW;
+  if (which != 0 && !later) {
+    color = colors(p.means.world, gaussians, view, first, count);
     // A coefficient that is not finite leaves no finite sum, whatever the basis: 0 times infinity is NaN.
     visible = visible & finite(color.x) & finite(color.y) & finite(color.z);
     color = {or_zero(visible, color.x), or_zero(visible, color.y), or_zero(visible, color.z)};
@@ -44,6 +103,7 @@ void project_lanes(const Gaussians& gaussians, const View& view, const Projected
   write_numbers(p.opacity, splats.opacities + row, count);
   write_vectors({max(color.x, broadcast(0)), max(color.y, broadcast(0)), max(color.z, broadcast(0))}, splats.colors + 3 * row,
                 count);
+  if (later) scattered->add(first, which);
 }
 
 }  // namespace
@@ -66,8 +126,11 @@ void project(int views, Workers& workers, const std::function<ProjectedView(int)
     using Lens = std::remove_pointer_t<decltype(chosen)>;
     workers.each(views * parts, [&](int task) {
       const ProjectedView job = view_of(task / parts);
-      each_lanes(task % parts, total,
-                 [&](int first, int count) { project_lanes<Lens>(job.gaussians, job.view, job.splats, first, count); });
+      Scattered scattered(job.gaussians, job.view, job.splats);
+      each_lanes(task % parts, total, [&](int first, int count) {
+        project_lanes<Lens>(job.gaussians, job.view, job.splats, first, count, &scattered);
+      });
+      scattered.finish();
     });
   });
 }

@@ -88,6 +88,26 @@ void pull_back_rows(const PulledBackView& job, double camera[CAMERA_FIELDS]);
 // `summed`: the views share one scene, and its gradients are summed over them.
 void project_gradient(int views, bool summed, Workers& workers, const std::function<PulledBackView(int)>& view_of);
 
+// The gradient of the splats of one view, pulled back row by row, so that nobody has to keep that of the whole scene.
+class GradientByRows {
+ public:
+  // The arrays must outlive the object.
+  GradientByRows(const Gaussians& gaussians, const View& view, const ProjectedCotangents& cotangents);
+
+  // Writes the gradients of some rows; row 0 of the arrays would be the first Gaussian of all. The rows of each 4,096
+  // are asked for by one thread, once each, in their order and in multiples of 256.
+  void find(int first, int count, const GaussianGradients& to);
+  // Writes the gradient of the camera, when all rows are found.
+  void write_camera(float* camera) const;
+
+ private:
+  const Gaussians gaussians_;
+  const View view_;
+  const ProjectedCotangents cotangents_;
+  const int fields_;
+  std::vector<double> sums_;  // of the camera's gradient, for each 4,096 rows
+};
+
 // Derivatives along any number of directions, which share what they have in common.
 void project_tangents(const std::vector<PushedView>& views, Workers& workers);
 

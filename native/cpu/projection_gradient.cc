@@ -1,5 +1,6 @@
 #include <vector>
 
+#include "gathered.h"
 #include "projection_lanes.h"
 
 namespace splatax {
@@ -204,14 +205,57 @@ class PartSum {
   std::vector<float> own_[FIELDS], sum_[FIELDS];
 };
 
-// Gradients of one part of the Gaussians of a view; adds the camera's to sums.
+// Sets the gradients of some rows to zero.
+void clear(const GaussianGradients& to, int first, int count, int coefficients) {
+  const auto rows = [&](float* array, int columns) {
+    std::fill_n(array + static_cast<ptrdiff_t>(first) * columns, static_cast<ptrdiff_t>(count) * columns, 0.0f);
+  };
+  rows(to.means, 3), rows(to.quats, 4), rows(to.log_scales, 3), rows(to.opacity_logits, 1), rows(to.sh, 3 * coefficients);
+}
+
+// Gradients of up to SHORT Gaussians of a view. Those that the view shows are computed sixteen at a time, wherever
+// they are; those of the others are zero.
 template <class Lens>
-void pull_back(const Pass& pass, int part, int total, double* camera_sums) {
+void pull_back_seen(const Pass& pass, int first, int count, CameraGradient<Lens::FIELDS>& camera) {
+  int32_t seen[SHORT];
+  int found = 0;
+  for (int row = first; row < first + count; ++row) {
+    seen[found] = row;
+    found += pass.cotangents.extents[2 * static_cast<size_t>(row)] > 0;
+  }
+  if (found < count) clear(pass.gradients, first, count, pass.gaussians.coefficients);
+  for (int at = 0; at < found; at += LANES) {
+    const int number = std::min(LANES, found - at);
+    if (seen[at + number - 1] == seen[at] + number - 1) {  // one after another
+      PullBack<Lens>(pass, seen[at], number).run(camera);
+      continue;
+    }
+    Gathered16 own(pass.gaussians, pass.cotangents, seen + at, number);
+    const Gaussians gaussians = own.gaussians();
+    const ProjectedCotangents cotangents = own.cotangents();
+    const GaussianGradients gradients = own.gradients();
+    PullBack<Lens>({gaussians, pass.view, cotangents, gradients}, 0, number).run(camera);
+    own.scatter(pass.gradients);
+  }
+}
+
+// Gradients of Gaussians [first, end) of a view; adds the camera's to sums.
+template <class Lens>
+void pull_back(const Pass& pass, int first, int end, double* camera_sums) {
   CameraGradient<Lens::FIELDS> camera;
-  each_lanes(part, total, [&](int first, int count) {
-    PullBack<Lens>(pass, first, count).run(camera);
-    if (first % SHORT == SHORT - LANES || first + count == total) camera.move_to(camera_sums);
-  });
+  for (; first < end; first += SHORT) {
+    pull_back_seen<Lens>(pass, first, std::min(SHORT, end - first), camera);
+    camera.move_to(camera_sums);
+  }
+}
+
+// Writes the sums over all parts of a camera's gradient, `fields` numbers for each part.
+void write_sums(const double* sums, int parts, int fields, float* camera) {
+  for (int field = 0; field < fields; ++field) {
+    double value = 0;
+    for (int part = 0; part < parts; ++part) value += sums[static_cast<size_t>(part) * fields + field];
+    camera[field] = static_cast<float>(value);
+  }
 }
 
 }  // namespace
@@ -234,7 +278,7 @@ void project_gradient(int views, bool summed, Workers& workers, const std::funct
   const auto pull = [&](const Pass& pass, int view, int part) {
     double* camera_sums = &sums[(static_cast<size_t>(view) * parts + part) * fields];
     with_lens(pass.view.lens, [&](auto* chosen) {
-      pull_back<std::remove_pointer_t<decltype(chosen)>>(pass, part, total, camera_sums);
+      pull_back<std::remove_pointer_t<decltype(chosen)>>(pass, part * PART, std::min((part + 1) * PART, total), camera_sums);
     });
   };
   if (summed) {
@@ -255,13 +299,24 @@ void project_gradient(int views, bool summed, Workers& workers, const std::funct
     });
   }
   for (int view = 0; view < views; ++view) {
-    const PulledBackView job = view_of(view);
-    for (int field = 0; field < fields; ++field) {
-      double value = 0;
-      for (int part = 0; part < parts; ++part) value += sums[(static_cast<size_t>(view) * parts + part) * fields + field];
-      job.gradients.camera[field] = static_cast<float>(value);
-    }
+    write_sums(&sums[static_cast<size_t>(view) * parts * fields], parts, fields, view_of(view).gradients.camera);
   }
+}
+
+GradientByRows::GradientByRows(const Gaussians& gaussians, const View& view, const ProjectedCotangents& cotangents)
+    : gaussians_(gaussians), view_(view), cotangents_(cotangents), fields_(camera_fields(view.lens)) {
+  sums_.assign(static_cast<size_t>(parts_of(gaussians.count)) * fields_, 0.0);
+}
+
+void GradientByRows::find(int first, int count, const GaussianGradients& to) {
+  with_lens(view_.lens, [&](auto* chosen) {
+    using Lens = std::remove_pointer_t<decltype(chosen)>;
+    pull_back<Lens>({gaussians_, view_, cotangents_, to}, first, first + count, &sums_[first / PART * fields_]);
+  });
+}
+
+void GradientByRows::write_camera(float* camera) const {
+  write_sums(sums_.data(), parts_of(gaussians_.count), fields_, camera);
 }
 
 }  // namespace splatax

@@ -8,7 +8,7 @@ import zlib
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from PIL import Image, ImageOps
+from PIL import Image, ImageOps, JpegImagePlugin
 
 import splatax as sx
 from captures import write_capture, write_transforms
@@ -206,3 +206,42 @@ def test_a_jpeg_that_does_not_fit_is_decoded_smaller_and_said(tmp_path, limit, w
     limit(None)  # what was measured counts, not what is allowed later
     assert_allclose(view.pixels().astype(int), full.pixels(), atol=3)
     assert sx.load_dataset(capture, downscale=2).train[0].camera.width == 32
+
+
+def area_means(pixels, width, height):
+    """Exact means over areas."""
+
+    def along(rows, count):
+        sums = np.concatenate([np.zeros((1, *rows.shape[1:])), np.cumsum(rows, axis=0, dtype=np.float64)])
+        ends = np.linspace(0, len(rows), count + 1)
+        whole = np.minimum(ends.astype(int), len(rows) - 1)
+        at_ends = sums[whole] + (ends - whole)[:, None, None] * rows[whole]
+        return np.diff(at_ends, axis=0) * count / len(rows)
+
+    return along(along(pixels, height).swapaxes(0, 1), width).swapaxes(0, 1)
+
+
+@pytest.mark.parametrize(
+    ("size", "divisor", "least"),
+    [((300, 210), 1, 38), ((160, 112), 1, 55), ((190, 133), 2, 41), ((159, 111), 2, 45), ((60, 42), 8, 50)],
+)
+def test_a_jpeg_is_shrunk_by_means_over_areas_and_not_decoded_larger_than_needed(
+    tmp_path, monkeypatch, size, divisor, least
+):
+    rng = np.random.default_rng(0)
+    smooth = Image.fromarray(rng.integers(0, 256, (42, 60, 3), dtype=np.uint8)).resize((480, 336))
+    smooth.save(tmp_path / "a.jpg", quality=97, subsampling=0)
+    with Image.open(tmp_path / "a.jpg") as image:
+        expected = area_means(np.asarray(image), *size)
+    drafts = []
+    draft = JpegImagePlugin.JpegImageFile.draft
+    monkeypatch.setattr(
+        JpegImagePlugin.JpegImageFile,
+        "draft",
+        lambda self, mode, size: (drafts.append(size), draft(self, mode, size)),
+    )
+    found = images.read(tmp_path / "a.jpg", size=size)
+    assert found.shape == (size[1], size[0], 3)
+    assert drafts == ([] if divisor == 1 else [(480 // divisor, 336 // divisor)])
+    psnr = -10 * np.log10(np.mean((found / 255 - expected / 255) ** 2))
+    assert psnr > least

@@ -17,6 +17,7 @@ from splatax.cameras.canvases import canvases_for
 from splatax.cameras.lenses import Fisheye, opencv
 from splatax.dataset import hold_out
 from splatax.evaluation import MOST_SIZES, picture
+from splatax.training.canvases import filling
 from splatax.training.density import Classic, NoDensityControl
 from splatax.training.feed import batch, batches
 from splatax.training.groups import steps_of
@@ -25,7 +26,7 @@ from splatax.training.photo_cache import PhotoCache
 from splatax.training.recipes import ShSchedule, with_views
 from splatax.training.resolution import Resolution
 from splatax.training.schedule import Schedule
-from splatax.training.step import compare, filling
+from splatax.training.step import compare
 from splatax.training.steppers import MOST_PROGRAMS, stepper_for
 
 TRUTH = random_gaussians(n=60, degree=0, spread=0.8, scale=(0.05, 0.25))
@@ -161,10 +162,10 @@ def test_a_step_on_a_canvas_is_the_step_on_the_photo(lens, masked):
         frame = PhotoCache([view], np.inf, canvases).frame(0, 1)
         seen = batch(*frame, next(iter(batches([view], 0))).source, 1)
         assert seen.photo.shape[:2] == ((32, 40) if canvases is None else CANVAS[::-1])
-        loss, splats, d = compare(state, seen, recipe, jnp.array([0.2, 0.4, 0.6]))
-        observed = filling(splats, d.splats, seen.camera.frame)
+        compared = compare(state, seen, recipe, jnp.array([0.2, 0.4, 0.6]))
+        observed = filling(compared.shown.splats, compared.d_shown.splats, seen.camera.frame)
         density = Classic().observe(Classic().init(len(TRUTH)), *observed)
-        found.append((loss, d.gaussians, density))
+        found.append((compared.loss, compared.pull_back(compared.d_shown)[0], density))
     for one, other in zip(*map(jax.tree.leaves, found), strict=True):
         assert_allclose(one, other, rtol=1e-4, atol=2e-6 * float(jnp.max(jnp.abs(one))) + 1e-12)
 

@@ -117,14 +117,20 @@ def project(
         method: way to find footprints.
         kernels: the foreign projections, by kind of lens.
     """
-    kernel = kernels.get(type(camera.lens))
-    still = camera.motion is None and camera.frame is None  # the kernels know no canvases
-    if kernel is None or not still or method != EWA:
+    kernel = kernel_for(camera, kernels)
+    if kernel is None or method != EWA:
         return projection.project(gaussians, camera, low_pass, method)
     arrays = tuple(getattr(gaussians, field) for field in FIELDS)
     settings = Settings(kernel, Layout.of(camera), low_pass)
     means2d, sqrt_conics, depths, extents, colors, opacities = _project(arrays, packed(camera), settings)
     return Splats(means2d, sqrt_conics, depths, extents, colors, opacities, camera.width, camera.height)
+
+
+def kernel_for(camera: Camera, kernels: ProjectionKernels) -> Kernel | None:
+    """Returns the foreign projection for a camera, or None if there is none."""
+    if camera.motion is not None or camera.frame is not None:  # the kernels know no canvases
+        return None
+    return kernels.get(type(camera.lens))
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(2,))

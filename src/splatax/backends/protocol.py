@@ -153,6 +153,43 @@ class Move(Protocol):
         ...
 
 
+class PulledView(NamedTuple):
+    """The splats of one view of a scene, and the gradient of a loss with respect to them."""
+
+    camera: Camera
+    low_pass: LowPass  # that the scene was projected with, by EWA
+    splats: Splats
+    d_splats: Splats
+
+
+@runtime_checkable
+class PullAndMove(Protocol):
+    """The gradient of a projection and a training step with it: faster, because the gradient is never stored.
+
+    It stands for a projection and a move, and moves as they do.
+    """
+
+    @property
+    def project(self) -> Project:
+        """The projection that it stands for."""
+        ...
+
+    @property
+    def move(self) -> Move:
+        """The move that it stands for."""
+        ...
+
+    def fits(self, camera: Camera, low_pass: LowPass) -> bool:
+        """Returns whether it finds the gradient of such a view."""
+        ...
+
+    def __call__(
+        self, gaussians: Gaussians, view: PulledView, moments: Moments, step: Step, rule: Rule, block: int
+    ) -> tuple[Gaussians, Moments, Camera]:
+        """Moves by the gradient of a view; returns the gradient of its camera too."""
+        ...
+
+
 def runs_everywhere() -> str | None:
     """Returns None: the kernels run wherever JAX does."""
     return None
@@ -179,6 +216,8 @@ class Kernels:
             if you replace `project` or `composite` by kernels of your own.
         survey: `composite` and `select` in one kernel; None if the backend has only the two. It is not used
             if you replace one of them.
+        pull_and_move: the gradient of `project` and `move` in one kernel; None if the backend has only the
+            two. It is not used if you replace one of them.
     """
 
     name: str
@@ -191,6 +230,7 @@ class Kernels:
     dtypes: tuple[str, ...] = ("float32", "float64")
     draw: Draw | None = None
     survey: Survey | None = None
+    pull_and_move: PullAndMove | None = None
 
     def at_once(self, camera: Camera, method: Method) -> Draw | None:
         """Returns the kernel that draws what a camera sees at once; None if two kernels must do it."""
@@ -211,3 +251,10 @@ class Kernels:
         if survey is None or (survey.composite, survey.select) != (self.composite, self.select):
             return None
         return survey if survey.fits(splats, channels, parts) else None
+
+    def moved_at_once(self, camera: Camera, low_pass: LowPass) -> PullAndMove | None:
+        """Returns the kernel that moves by the gradient of a view; None if two kernels must do it."""
+        both = self.pull_and_move
+        if both is None or (both.project, both.move) != (self.project, self.move):
+            return None
+        return both if both.fits(camera, low_pass) else None

@@ -6,7 +6,7 @@ machine, and it refuses the photos of phones. Here one photo may take 1 / `MEMOR
 """
 
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,8 +32,9 @@ BYTES_PER_PIXEL = 8  # peak of `read`, measured at 144 megapixels: 4 in Pillow, 
 BYTES_OF_FORMAT = {"WEBP": 18, "TIFF": 12, "HEIF": 18}  # bytes per pixel of decoders that hold more copies
 BYTES_PER_COEFFICIENT = 2  # progressive JPEG keeps the coefficients of the full size, even for a draft
 MEMORY_SHARE = 4  # one photo may take the machine's memory divided by this
-BOX = 4  # Pillow's filter that takes the mean of an area
+BOX, HAMMING = 4, 5  # Pillow's filters: the mean of an area, and one whose borders are tapered
 DRAFTS = (1, 2, 4, 8)  # divisors of the size at which a JPEG can be decoded
+HALF, ENOUGH = 2, 2.5  # the draft for shrinking by so much or more, if that is no whole number
 
 _limit: int | None = None
 
@@ -115,10 +116,39 @@ def read(
             image.draft(None, header.size)
         way_up = orientation(image) if upright else 1
         if size and way_up == 1 and image.mode == "RGB" and not image.has_transparency_data:
-            image.load()  # resizing Pillow's own pixels saves two copies of the photo
-            return np.array(image.resize(size, BOX)) if size != image.size else eight_bits(path, image)
+            return _shrunk(path, image, header, size)
         pixels = np.ascontiguousarray(turned(eight_bits(path, image), way_up))
     return resize(pixels, *size) if size else pixels
+
+
+def _shrunk(path: Path, image: "Image.Image", header: Header, size: tuple[int, int]) -> Pixels:
+    """Returns an opened RGB photo at a size, by means over areas; a JPEG is not decoded larger than needed.
+
+    At factors that are no whole numbers, a draft of half the size and a tapered filter are nearer to the
+    exact means (43 to 48 dB in a photo of 12 megapixels) than Pillow's BOX filter on all of it (40 to 44 dB).
+    """
+    factors = [side / new for side, new in zip(header.size, size, strict=True)]
+    part = drafted(factors) if image.format in ("JPEG", "MPO") and header.divisor == 1 else 1
+    if part > 1:
+        image.draft(None, _divided(header.size, part))
+    image.load()  # resizing Pillow's own pixels saves two copies of the photo
+    if image.size == size:
+        return eight_bits(path, image)
+    width, height = (side / part for side in header.size)  # the draft is rounded up
+    filtering = BOX if part == 1 or _whole(factors[0] / part) else HAMMING
+    return np.array(image.resize(size, filtering, (0, 0, width, height)))
+
+
+def drafted(factors: Sequence[float]) -> int:
+    """Returns the divisor of the size at which a JPEG that is shrunk by these factors is decoded."""
+    factor = min(factors)
+    if all(map(_whole, factors)):
+        return max(divisor for divisor in DRAFTS if all(round(each) % divisor == 0 for each in factors))
+    return HALF if factor >= ENOUGH else 1
+
+
+def _whole(factor: float) -> bool:
+    return abs(factor - round(factor)) < 1e-6
 
 
 def glance(path: Path, side: int) -> Pixels:

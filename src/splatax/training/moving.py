@@ -14,7 +14,10 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt32
 
 from splatax import backends
+from splatax.backends.protocol import PullAndMove, PulledView
+from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
+from splatax.low_pass import LowPass
 from splatax.moving import Moments, Rule, Step
 from splatax.training import optimizer
 from splatax.training.noise import Langevin, NoNoise
@@ -27,7 +30,7 @@ class Rows(NamedTuple):
     """Rows of a scene, and what is known of each."""
 
     gaussians: Gaussians
-    gradients: Gaussians  # of the loss, without the prior
+    gradients: Gaussians | None  # of the loss, without the prior; None where a kernel finds them
     opt_state: Any  # of the recipe's rule
     reach: Float[
         Array, " m"
@@ -101,20 +104,60 @@ def by_kernel(
         block: number of rows that share a key.
         recipe: the settings; the backend is resolved already.
     """
-    adam, *rest = rows.opt_state
-    step = Step(
+    assert rows.gradients is not None
+    adam, *_ = rows.opt_state
+    step = _numbers(rows, pace, keys)
+    move = backends.resolve(recipe.drawing.backend).move
+    gaussians, moments = move(rows.gaussians, rows.gradients, Moments(adam.mu, adam.nu), step, rule, block)
+    return gaussians, _after(rows, step, moments)
+
+
+class ByView(NamedTuple):
+    """A kernel that finds the gradient of a view and moves a scene by it, and the rule of the move."""
+
+    kernel: PullAndMove
+    rule: Rule
+
+    def moved(
+        self, rows: Rows, view: PulledView, pace: Pace, noise_key: PRNGKeyArray
+    ) -> tuple[Gaussians, optax.OptState, Camera]:
+        """Makes one step with a whole scene without given gradients; returns the camera's too."""
+        adam, *_ = rows.opt_state
+        step = _numbers(rows, pace, jax.random.key_data(noise_key)[None])
+        block = max(len(rows.gaussians), 1)
+        gaussians, moments, d_camera = self.kernel(
+            rows.gaussians, view, Moments(adam.mu, adam.nu), step, self.rule, block
+        )
+        return gaussians, _after(rows, step, moments), d_camera
+
+
+def by_view(camera: Camera, low_pass: LowPass, noise_key: PRNGKeyArray, recipe: Recipe) -> ByView | None:
+    """Returns the kernel for the views and the rule of a recipe; None if two kernels or functions do it."""
+    rule = rule_of(recipe)
+    if rule is None or not draws_as_kernels(noise_key) or recipe.objective.geometry.outputs:
+        return None
+    kernel = backends.resolve(recipe.drawing.backend).moved_at_once(camera, low_pass)
+    return None if kernel is None else ByView(kernel, rule)
+
+
+def _numbers(rows: Rows, pace: Pace, keys: UInt32[Array, "b 2"]) -> Step:
+    """Returns the numbers of a step with these rows."""
+    coefficients = rows.gaussians.sh.shape[1]
+    return Step(
         rates=pace.rates(rows),
-        free=optimizer.free_coefficients(pace.progress, pace.openings, rows.gaussians.sh.shape[1]),
+        free=optimizer.free_coefficients(pace.progress, pace.openings, coefficients),
         good=pace.good,
-        steps=optax.safe_increment(adam.count),
+        steps=optax.safe_increment(rows.opt_state[0].count),
         living=pace.living,
         extent=pace.extent,
         keys=keys,
     )
-    move = backends.resolve(recipe.drawing.backend).move
-    gaussians, moments = move(rows.gaussians, rows.gradients, Moments(adam.mu, adam.nu), step, rule, block)
-    adam = adam._replace(count=step.steps, mu=moments.mean, nu=moments.square)
-    return gaussians, (adam, *rest)
+
+
+def _after(rows: Rows, step: Step, moments: Moments) -> optax.OptState:
+    """Returns the state of Adam after a step."""
+    adam, *rest = rows.opt_state
+    return (adam._replace(count=step.steps, mu=moments.mean, nu=moments.square), *rest)
 
 
 def by_optax(

@@ -1,5 +1,6 @@
 """One training step: renders a view, compares it with its photo, and moves the Gaussians."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -10,18 +11,18 @@ import optax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt8
 
 from splatax import backends
-from splatax.backends.protocol import Photometric
+from splatax.backends.protocol import PulledView
 from splatax.cameras import Camera
 from splatax.drawn import Seen, unrolled
 from splatax.gaussians import Gaussians
-from splatax.losses import photometric_on_canvas
 from splatax.low_pass import LowPass
 from splatax.outputs import over
 from splatax.splats import Splats, joined
 from splatax.stages import composite, project
 from splatax.training import geometry
+from splatax.training.canvases import filling, on_canvas
 from splatax.training.feed import Batch
-from splatax.training.moving import Pace, Rows, moved
+from splatax.training.moving import Pace, Rows, by_view, moved
 from splatax.training.objectives import TrainingView
 from splatax.training.optimizer import LearningRates
 from splatax.training.recipes import Recipe
@@ -86,23 +87,32 @@ def _train_step(
     recipe: Recipe,
 ) -> tuple[TrainState, Float[Array, ""]]:
     background_key, noise_key = jax.random.split(jax.random.fold_in(state.key, state.step))
-    loss, splats, d = compare(state, batch, recipe, recipe.drawing.background.sample(background_key))
+    found = compare(state, batch, recipe, recipe.drawing.background.sample(background_key))
 
-    good = jnp.isfinite(loss)  # if not, nothing moves
+    good = jnp.isfinite(found.loss)  # if not, nothing moves
     progress = state.step / state.total
     living = jnp.sum(state.gaussians.opacity_logits > -jnp.inf)
+    splats, d_splats = found.shown.splats, found.d_shown.splats
     reach = recipe.optimizer.reach(splats.depths, state.extent)
-    rows = Rows(state.gaussians, d.gaussians, state.opt_state, reach)
+    rows = Rows(state.gaussians, None, state.opt_state, reach)
     pace = Pace(learning_rates, openings, progress, good, living, state.extent)
-    gaussians, opt_state = moved(rows, pace, noise_key, recipe)
+    low_pass = filtered(recipe.drawing.low_pass, batch.divisor)
+    at_once = by_view(found.camera, low_pass, noise_key, recipe)
+    if at_once:
+        view = PulledView(found.camera, low_pass, splats, d_splats)
+        gaussians, opt_state, d_camera = at_once.moved(rows, view, pace, noise_key)
+        d_correction = found.pull_camera(d_camera)
+    else:
+        d_gaussians, d_correction = found.pull_back(found.d_shown)
+        gaussians, opt_state = moved(rows._replace(gradients=d_gaussians), pace, noise_key, recipe)
     total = state.total.astype(jnp.float32)
     learned = (
-        recipe.density.observe(state.density_state, *filling(splats, d.splats, batch.camera.frame)),
-        recipe.appearance.update(state.appearance, batch.source, d.appearance, progress, total),
-        recipe.camera_refinement.update(state.cameras, batch.source, d.camera, progress, total),
-        recipe.objective.weights.update(state.weights, batch.source.view, loss),
+        recipe.density.observe(state.density_state, *filling(splats, d_splats, batch.camera.frame)),
+        recipe.appearance.update(state.appearance, batch.source, found.d_appearance, progress, total),
+        recipe.camera_refinement.update(state.cameras, batch.source, d_correction, progress, total),
+        recipe.objective.weights.update(state.weights, batch.source.view, found.loss),
     )
-    return advanced(replace(state, gaussians=gaussians, opt_state=opt_state), learned, good), loss
+    return advanced(replace(state, gaussians=gaussians, opt_state=opt_state), learned, good), found.loss
 
 
 def advanced(state: TrainState, learned: tuple[Any, Any, Any, Any], good: Bool[Array, ""]) -> TrainState:
@@ -127,30 +137,6 @@ def advanced(state: TrainState, learned: tuple[Any, Any, Any, Any], good: Bool[A
     )
 
 
-def filling(splats: Splats, d_splats: Splats, frame: Float[Array, "2"] | None) -> tuple[Splats, Splats]:
-    """Returns the splats of a view on a canvas, and their gradients, as if the view filled the canvas.
-
-    Density control then finds the sizes and the gradients, as fractions of the image, that the view has by
-    itself. Extents are scaled by the longer sides of view and canvas.
-
-    Args:
-        splats: the 2D Gaussians of the view.
-        d_splats: gradient of the loss with respect to them.
-        frame: of the camera; None if the view fills its image.
-    """
-    if frame is None:
-        return splats, d_splats
-    canvas = jnp.array([splats.width, splats.height], frame.dtype)
-    scale = (canvas / frame)[None]
-    larger = replace(
-        splats,
-        means2d=splats.means2d * scale,
-        extents=splats.extents * (jnp.max(canvas) / jnp.max(frame)),
-    )
-    pull = None if d_splats.pull is None else d_splats.pull / scale
-    return larger, replace(d_splats, means2d=d_splats.means2d / scale, pull=pull)
-
-
 def filtered(low_pass: LowPass, divisor: int) -> LowPass:
     """Returns the filter for photos that are smaller by `divisor`.
 
@@ -159,27 +145,38 @@ def filtered(low_pass: LowPass, divisor: int) -> LowPass:
     return replace(low_pass, variance=low_pass.variance / divisor**2)
 
 
-class Gradients(NamedTuple):
-    """Gradients of one view's loss."""
+class Shown(NamedTuple):
+    """The part of a view that is drawn: its splats, and channels that the geometry penalty blends."""
 
-    gaussians: Gaussians
     splats: Splats
-    appearance: Any  # with respect to the photo's appearance parameters
-    camera: Any  # with respect to the photo's camera parameters
+    channels: dict[str, Float[Array, "m _"]]
 
 
-def compare(
-    state: TrainState, batch: Batch, recipe: Recipe, background: Float[Array, "3"]
-) -> tuple[Float[Array, ""], Splats, Gradients]:
-    """Returns the loss of a view, its splats, and the gradients of the loss times the weight of the photo."""
+class Compared(NamedTuple):
+    """A view of a step and its photo. Gradients are of the loss times the weight of the photo."""
+
+    loss: Float[Array, ""]
+    shown: Shown
+    camera: Camera  # as corrected
+    d_shown: Shown
+    d_appearance: Any  # with respect to the photo's appearance parameters
+    pull_back: Callable[[Shown], tuple[Gaussians, Any]]  # to the scene and the photo's camera parameters
+    pull_camera: Callable[[Camera], Any]  # from the camera to the photo's camera parameters
+
+
+def compare(state: TrainState, batch: Batch, recipe: Recipe, background: Float[Array, "3"]) -> Compared:
+    """Draws a view, compares it with its photo, and finds the gradient of the loss in its splats."""
+
+    def corrected(correction):
+        return recipe.camera_refinement(correction, batch.camera, state.extent)
 
     def project_view(gaussians, correction):
-        camera = recipe.camera_refinement(correction, batch.camera, state.extent)
-        return shown(gaussians, camera, recipe, batch.divisor), camera
+        return shown(gaussians, corrected(correction), recipe, batch.divisor)
 
     appearance = recipe.appearance.for_photo(state.appearance, batch.source)
     correction = recipe.camera_refinement.for_photo(state.cameras, batch.source)
-    view, pull_back, camera = jax.vjp(project_view, state.gaussians, correction, has_aux=True)
+    view, pull_back = jax.vjp(project_view, state.gaussians, correction)
+    camera, pull_camera = jax.vjp(corrected, correction)
     progress = state.step / state.total
     weight = recipe.objective.weights.of_photo(state.weights, batch.source.view, progress)
     context = surroundings(batch.context, camera, recipe, batch.divisor)
@@ -187,15 +184,9 @@ def compare(
     (_, loss), (d_view, d_appearance) = jax.value_and_grad(weighted_loss, argnums=(0, 1), has_aux=True)(
         view, appearance, target, recipe
     )
-    d_gaussians, d_camera = pull_back(d_view)
-    return loss, view.splats, Gradients(d_gaussians, d_view.splats, d_appearance, d_camera)
-
-
-class Shown(NamedTuple):
-    """The part of a view that is drawn: its splats, and channels that the geometry penalty blends."""
-
-    splats: Splats
-    channels: dict[str, Float[Array, "m _"]]
+    return Compared(
+        loss, view, camera, d_view, d_appearance, pull_back, lambda d_camera: pull_camera(d_camera)[0]
+    )
 
 
 class Target(NamedTuple):
@@ -255,7 +246,9 @@ def image_loss(view: Shown, appearance: Any, target: Target, recipe: Recipe) -> 
     sums, alpha = composite(view.splats, view.splats.colors, backend=kernels)
     image = over(recipe.appearance(appearance, sums, alpha), alpha, target.background)
     photo = photo_over(target.photo, target.background)
-    loss = objective.loss(image, photo, *counted(target, kernels.photometric))
+    loss = objective.loss(
+        image, photo, *on_canvas(target.camera.frame, target.mask, photo, kernels.photometric)
+    )
     if not view.channels:
         return loss
     # Drawn separately, so that `pull` has the gradient of the photo only, and of few channels.
@@ -263,25 +256,6 @@ def image_loss(view: Shown, appearance: Any, target: Target, recipe: Recipe) -> 
     images = geometry.drawn(objective.geometry.outputs, view.channels, seen, kernels)
     known = TrainingView(target.camera, target.landmarks, target.progress)
     return loss + objective.geometry(images, known)
-
-
-def counted(target: Target, kernel: Photometric) -> tuple[Bool[Array, "h w"] | None, Photometric]:
-    """Returns the mask of what counts in the loss, and the kernel of the loss for it.
-
-    On a canvas, only the frame counts, and windows end at its border.
-    """
-    frame = target.camera.frame
-    if frame is None:
-        return target.mask, kernel
-    height, width = target.photo.shape[:2]
-    columns, rows = (
-        jnp.arange(side, dtype=frame.dtype) + 0.5 < end
-        for side, end in zip((width, height), frame, strict=True)
-    )
-    mask = rows[:, None] & columns[None]
-    if target.mask is not None:
-        mask &= target.mask
-    return mask, partial(photometric_on_canvas, frame=frame, kernel=kernel)
 
 
 def photo_over(photo: UInt8[Array, "h w c"], background: Float[Array, "3"]) -> Float[Array, "h w 3"]:

@@ -20,6 +20,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from splatax.gaussians import Gaussians
 from splatax.splats import Splats
+from splatax.training.canvases import filling
 from splatax.training.comparison import Differences, Views, compare_views
 from splatax.training.devices import (
     AXIS,
@@ -35,7 +36,7 @@ from splatax.training.moving import Pace, Rows, by_kernel, by_optax, draws_as_ke
 from splatax.training.optimizer import LearningRates
 from splatax.training.protocols import Source
 from splatax.training.recipes import Recipe
-from splatax.training.step import TrainState, advanced, filling
+from splatax.training.step import TrainState, advanced
 
 
 @partial(jax.jit, static_argnames=("recipe", "mesh"), donate_argnames="state")

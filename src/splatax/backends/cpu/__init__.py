@@ -9,7 +9,7 @@ from splatax.backends import fused_loss, projection_kernels
 from splatax.backends.cpu import library
 from splatax.backends.cpu.composite import MAX_PAIRS, composite, select
 from splatax.backends.cpu.library import ALL_THREADS, Build
-from splatax.backends.cpu.moving import move
+from splatax.backends.cpu.moving import NativePullAndMove, move
 from splatax.backends.cpu.photometric import with_gradient
 from splatax.backends.cpu.projection import projections
 from splatax.backends.cpu.survey import NativeSurvey
@@ -31,17 +31,19 @@ def kernels(
     projection = partial(projection_kernels.project, kernels=projections(build))
     rasterizer = partial(composite, build=build, max_pairs=max_pairs)
     selection = partial(select, build=build, max_pairs=max_pairs)
+    step = partial(move, build=build)
     return Kernels(
         name="cpu" if instructions is None else f"cpu-{instructions}",
         project=projection,
         composite=rasterizer,
         select=selection,
         photometric=partial(fused_loss.photometric, kernel=partial(with_gradient, build=build)),
-        move=partial(move, build=build),
+        move=step,
         why_unavailable=partial(library.why_unavailable, instructions),
         dtypes=("float32",),
         draw=NativeDrawing(build, max_pairs, projection, rasterizer),
         survey=NativeSurvey(build, max_pairs, rasterizer, selection),
+        pull_and_move=NativePullAndMove(build, projection, step),
     )
 
 

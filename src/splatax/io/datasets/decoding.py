@@ -83,7 +83,7 @@ class PhotoDecoder:
     @property
     def identity(self) -> str:
         """Key of the result; see `Stored.identity`."""
-        return self.stored.identity("photo", self.upright, self.divisor)
+        return self.stored.identity("photo", "drafts", self.upright, self.divisor)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,6 @@
-"""Measures rigs on two models with known poses: `python docs/measure_rigs.py hand|robot|recover`.
+"""Measures rigs on two models with known poses: `python docs/measure_rigs.py hand|robot|recover STEPS COUNT`.
+
+`recover` takes a third number, the width of the photos.
 
 The models are in SPLATAX_DATA/rigs: `hand-right.glb` of @webxr-input-profiles/assets (MIT), and
 `RobotExpressive.glb` by Tomas Laulhe (CC0). Their surfaces get a procedural texture and are photographed
@@ -72,14 +74,16 @@ def curled(skeleton: Skeleton, angles: dict[str, float]) -> Pose:
     )
 
 
-def photographed(body: Body, poses: dict[str, Pose], held_out: set[str], views: int, seed: int = 1):
+def photographed(
+    body: Body, poses: dict[str, Pose], held_out: set[str], views: int, seed: int = 1, size: int = SIZE
+):
     """Returns a capture with `views` photos of each pose from random sides, and the pose of each photo."""
     rng = np.random.default_rng(seed)
     photos, pose_of = {}, {}
     for name, pose in poses.items():
         for i in range(views):
             photo = f"{name}-{i}.png"
-            camera = camera_around(body, rng.uniform(0, 2 * np.pi), rng.uniform(-0.7, 0.7), SIZE)
+            camera = camera_around(body, rng.uniform(0, 2 * np.pi), rng.uniform(-0.7, 0.7), size)
             photos[photo], pose_of[photo] = (pose, camera), name
     return posed_dataset(body, photos, [p for p in photos if pose_of[p] in held_out]), pose_of
 
@@ -163,11 +167,11 @@ def over_white(pixels: np.ndarray) -> np.ndarray:
     return photo[..., :3] * photo[..., 3:] + 1 - photo[..., 3:]
 
 
-def measure_recovery(steps: int, count: int) -> None:
+def measure_recovery(steps: int, count: int, size: int = SIZE) -> None:
     """Turns the joints of the hand by 10 degrees around random axes, and recovers them from 6 photos."""
     body, rng = hand(), np.random.default_rng(1)
     poses = {f"pose{i}": curled(body.skeleton, {f: rng.uniform(0, 1.1) for f in FINGERS}) for i in range(9)}
-    dataset, pose_of = photographed(body, poses, {"pose8"}, views=6)
+    dataset, pose_of = photographed(body, poses, {"pose8"}, views=6, size=size)
     last = trained(body, dataset, poses, pose_of, steps, count)
     scene = RiggedScene(last.gaussians, last.rig)
     moved = [name for name in body.skeleton.names if "phalanx" in name]
@@ -195,4 +199,4 @@ def measure_recovery(steps: int, count: int) -> None:
 MEASURES = {"hand": measure_hand, "robot": measure_robot, "recover": measure_recovery}
 
 if __name__ == "__main__":
-    MEASURES[sys.argv[1]](*map(int, sys.argv[2:4]))
+    MEASURES[sys.argv[1]](*map(int, sys.argv[2:5]))

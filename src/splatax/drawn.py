@@ -7,10 +7,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from splatax import splats as views
-from splatax.backends.protocol import Selection
+from splatax.backends.protocol import Kernels, Selection
 from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
 from splatax.splats import Splats
+from splatax.surfaces import Planes
 
 BackgroundArray = Float[Array, "3"] | Float[Array, "h w 3"]
 
@@ -25,12 +26,14 @@ class Seen(NamedTuple):
         gaussians: the scene in world coordinates, also if it has parts; one row for each splat, in order.
         camera: the view.
         sizes: the number of Gaussians of each part. A scene without parts is one.
+        kernels: the backend that finds planes; None where splats are drawn by themselves.
     """
 
     splats: Splats
     gaussians: Gaussians | None
     camera: Camera | None
     sizes: tuple[int, ...] | None = None
+    kernels: Kernels | None = None
 
 
 class Drawn(NamedTuple):
@@ -70,6 +73,18 @@ def scene_of(seen: Seen | None, output: str) -> tuple[Gaussians, Camera]:
             f"output {output!r} needs the scene and its camera: use render instead of rasterize."
         )
     return seen.gaussians, seen.camera
+
+
+def planes_of(seen: Seen | None, output: str) -> Planes:
+    """Returns the plane of each Gaussian of a view.
+
+    Raises:
+        ValueError: naming the output, if there are only splats.
+    """
+    gaussians, camera = scene_of(seen, output)
+    assert seen is not None
+    assert seen.kernels is not None
+    return seen.kernels.planes(gaussians, camera, seen.splats)
 
 
 def selection_of(drawn: Drawn) -> Selection:

@@ -219,7 +219,7 @@ def _finish(
     splats, source, background, features = vary_together(splats, source, background, features)
     view = Seen(splats, None, None)
     if source is not None:  # the compiler removes what no output uses of the Gaussians in the world
-        view = Seen(splats, seen.in_world(source[0]), source[1], seen.sizes_of(source[0]))
+        view = Seen(splats, seen.in_world(source[0]), source[1], seen.sizes_of(source[0]), kernels)
     painted = unrolled(view)
     if painted is not view:
         features = jax.tree.map(lambda rows: jnp.concatenate([rows, rows]), features)

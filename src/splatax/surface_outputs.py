@@ -3,9 +3,9 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from splatax.drawn import Drawn, Seen, scene_of, selection_of
+from splatax.drawn import Drawn, Seen, planes_of, selection_of
 from splatax.splats import Splats
-from splatax.surfaces import pixel_centers, planes, unit
+from splatax.surfaces import pixel_centers, unit
 
 
 def surface_channels(seen: Seen) -> Float[Array, "n 3"]:
@@ -16,7 +16,7 @@ def surface_channels(seen: Seen) -> Float[Array, "n 3"]:
     Raises:
         ValueError: if there are only splats, which do not have planes.
     """
-    found = planes(*scene_of(seen, "surface_depth"), seen.splats)
+    found = planes_of(seen, "surface_depth")
     offset = seen.splats.means2d - _middle(seen.splats)[None]
     return jnp.column_stack([found.disparities - jnp.sum(found.slopes * offset, axis=1), found.slopes])
 
@@ -34,7 +34,7 @@ def surface_depth(drawn: Drawn) -> Float[Array, "h w"]:
 def median_surface_depth(drawn: Drawn) -> Float[Array, "h w"]:
     """Returns the depth of the plane of the Gaussian that makes a pixel half opaque; 0 where none does."""
     splats, median = drawn.splats, selection_of(drawn).median
-    found = planes(*scene_of(drawn.seen, "median_surface_depth"), splats)
+    found = planes_of(drawn.seen, "median_surface_depth")
     rows = jnp.column_stack([splats.means2d, found.disparities, found.slopes])
     rows = jnp.pad(rows, [(0, 1), (0, 0)])  # so that index -1 is no splat
     mean2d, disparity, slope = jnp.split(rows[median], (2, 3), axis=-1)
@@ -53,7 +53,7 @@ def normal_channels(seen: Seen) -> Float[Array, "n 3"]:
     Raises:
         ValueError: if there are only splats, which do not have them.
     """
-    return planes(*scene_of(seen, "normals"), seen.splats).axes
+    return planes_of(seen, "normals").axes
 
 
 def normals(drawn: Drawn) -> Float[Array, "h w 3"]:

@@ -12,6 +12,8 @@ and through other lenses it is one to first order. Three ordinary channels there
 any rasterizer.
 """
 
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -47,8 +49,36 @@ class Planes(NamedTuple):
     axes: Float[Array, "n 3"]
 
 
-@jax.jit
-def planes(gaussians: Gaussians, camera: Camera, splats: Splats) -> Planes:
+class PlaneRows(NamedTuple):
+    """The numbers that planes depend on, one row for each Gaussian. Those of culled rows may be anything.
+
+    Attributes:
+        places: changes of the pixel, x and y, and of the inverse depth with the point in the world.
+        disparities: inverse depth by the lens at the mean.
+        quats, log_scales: of the Gaussians.
+        sqrt_conics, opacities: of the splats.
+        blurs: variances of the blur of splats that are drawn along rays, pixels^2; no rows for ellipses,
+            which contain it.
+        extents: of the splats; zero for culled rows.
+    """
+
+    places: Float[Array, "n 3 3"]
+    disparities: Float[Array, " n"]
+    quats: Float[Array, "n 4"]
+    log_scales: Float[Array, "n 3"]
+    sqrt_conics: Float[Array, "n 3"]
+    opacities: Float[Array, " n"]
+    blurs: Float[Array, " b"] | None
+    extents: Float[Array, "n 2"]
+
+
+Found = tuple[Float[Array, "n 2"], Float[Array, "n 3"], Float[Array, "n 3"]]  # slopes, normals, axes
+
+
+@partial(jax.jit, static_argnames="find")
+def planes(
+    gaussians: Gaussians, camera: Camera, splats: Splats, find: Callable[[PlaneRows], Found] | None = None
+) -> Planes:
     """Returns the planes on which the density of each Gaussian along rays is highest.
 
     A plane that is seen edge-on has no finite slope, and the low-pass makes the ellipse of a small Gaussian
@@ -61,33 +91,56 @@ def planes(gaussians: Gaussians, camera: Camera, splats: Splats) -> Planes:
         gaussians: the scene.
         camera: camera of the view.
         splats: the scene in this view, row by row.
+        find: kernel that computes the planes of rows; None for `planes_of_rows`.
     """
     shown = jnp.all(splats.extents > 0, axis=1)
     ahead = camera.position + camera.rotation[2]  # what every lens sees
+    means = jnp.where(shown[:, None], gaussians.means, ahead[None])
+    places, disparities = jax.vmap(lambda mean: _placed(camera, mean))(means)
+    rows = PlaneRows(
+        places=places,
+        disparities=disparities,
+        quats=gaussians.quats,
+        log_scales=gaussians.log_scales,
+        sqrt_conics=splats.sqrt_conics,
+        opacities=splats.opacities,
+        blurs=disparities[:0] if splats.slants is None else 1 / splats.slants[:, 5],
+        extents=splats.extents,
+    )
+    return Planes(disparities, *(planes_of_rows if find is None else find)(rows))
 
-    def one(shown, mean, quat, log_scale, sqrt_conic, opacity, blur):
-        mean, quat = jnp.where(shown, mean, ahead), jnp.where(shown, quat, jnp.eye(4, dtype=quat.dtype)[0])
-        log_scale = jnp.where(shown, jnp.maximum(log_scale, LEAST_LOG_SCALE), 0)  # -inf is exactly flat
-        opacity = jnp.where(shown, opacity, 1)
-        sqrt_conic = jnp.where(shown, sqrt_conic, jnp.array([1, 0, 1], sqrt_conic.dtype))
-        disparity, slope, normal, axis, spread = _plane(camera, mean, quat, log_scale)
-        limit = _limit(disparity, slope, spread, sqrt_conic, opacity, blur)
-        return disparity, slope * limit, normal, axis
 
-    blurs = None if splats.slants is None else 1 / splats.slants[:, 5]
-    fields = gaussians.means, gaussians.quats, gaussians.log_scales, splats.sqrt_conics, splats.opacities
-    return Planes(*jax.vmap(one)(shown, *fields, blurs))
+def planes_of_rows(rows: PlaneRows) -> Found:
+    """Returns the slopes, normals and shortest axes of rows; see `Planes`."""
+
+    def one(row: PlaneRows):
+        shown = jnp.all(row.extents > 0)
+        quat = jnp.where(shown, row.quats, jnp.eye(4, dtype=row.quats.dtype)[0])
+        log_scale = jnp.where(shown, jnp.maximum(row.log_scales, LEAST_LOG_SCALE), 0)  # -inf is exactly flat
+        opacity = jnp.where(shown, row.opacities, 1)
+        sqrt_conic = jnp.where(shown, row.sqrt_conics, jnp.array([1, 0, 1], row.sqrt_conics.dtype))
+        slope, normal, axis, spread = _plane(row.places, quat, log_scale)
+        limit = _limit(row.disparities, slope, spread, sqrt_conic, opacity, row.blurs)
+        return slope * limit, normal, axis
+
+    if rows.blurs is not None and not len(rows.blurs):
+        rows = rows._replace(blurs=None)
+    return jax.vmap(one)(rows)
 
 
-def _plane(camera: Camera, mean: Float[Array, "3"], quat: Float[Array, "4"], log_scale: Float[Array, "3"]):
-    """Returns one plane, and the Gaussian's standard deviation of inverse depth."""
+def _placed(camera: Camera, mean: Float[Array, "3"]) -> tuple[Float[Array, "3 3"], Float[Array, ""]]:
+    """Returns how the pixel and the inverse depth of a point change with the point, and the latter."""
 
     def seen(point):
         local = camera.to_camera(point)
-        place = jnp.append(camera.to_pixel(local), 1 / camera.lens.depth(local))
-        return place, place
+        near = 1 / camera.lens.depth(local)
+        return jnp.append(camera.to_pixel(local), near), near
 
-    across, place = jax.jacfwd(seen, has_aux=True)(mean)
+    return jax.jacfwd(seen, has_aux=True)(mean)
+
+
+def _plane(across: Float[Array, "3 3"], quat: Float[Array, "4"], log_scale: Float[Array, "3"]):
+    """Returns one plane, and the Gaussian's standard deviation of inverse depth."""
     x, y, near = across
     # Columns of the inverse of the Jacobian, up to a factor: how the point moves if x, y or nearness grows.
     along = jnp.cross(y, near), jnp.cross(near, x), jnp.cross(x, y)
@@ -100,7 +153,7 @@ def _plane(camera: Camera, mean: Float[Array, "3"], quat: Float[Array, "4"], log
     spread = jnp.linalg.norm((near @ axes) * jnp.exp(log_scale))
     axis = axes[:, jnp.argmin(log_scale)]
     axis = jnp.where(axis @ facing < 0, -axis, axis)
-    return place[2], slope, normal / jnp.linalg.norm(normal), axis, spread
+    return slope, normal / jnp.linalg.norm(normal), axis, spread
 
 
 def _limit(

@@ -18,6 +18,7 @@ WHAT_A_BUILD_CHANGES = (  # modules of values and gradients that the machine cod
     "test_photometric",
     "test_lens_kernels",
     "test_slanted",
+    "test_planes",
 )
 IN_OTHER_MODULES = (
     "test_forward_mode_of_the_rasterizer_equals_finite_differences",

@@ -259,6 +259,10 @@ def recorded_calls():
         for lens in (lenses.Pinhole(), lenses.opencv(0.1), lenses.Fisheye(jnp.zeros(4))):
             point = GAUSSIANS, replace(CAMERA, lens=lens)
             jax.jvp(lambda g, c: project(g, c, backend="cpu"), point, point)
+        splats = project(GAUSSIANS, CAMERA, backend="cpu")
+        found, pull_back = jax.vjp(lambda g: cpu.BEST.planes(g, CAMERA, splats), GAUSSIANS)
+        pull_back(found)
+        jax.jvp(lambda g: cpu.BEST.planes(g, CAMERA, splats), (GAUSSIANS,), (GAUSSIANS,))
         two = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), CAMERA)
         views = jax.vmap(lambda g, c: render(g, c, backend="cpu").rgb, (None, 0))
         jax.grad(lambda g: views(g, two).sum())(GAUSSIANS)
@@ -293,6 +297,9 @@ def test_every_native_kernel_and_its_gradient_is_among_the_calls():
         "scene_forward",
         "scene_backward",
         "move",
+        "planes_forward",
+        "planes_backward",
+        "planes_tangent",
     }
 
 

@@ -76,6 +76,13 @@ def write_rigged(path):
     save_rigged(path, RiggedScene(*covering(arm, 50, sh_degree=1), arm.clips))
 
 
+def write_rigged_parts(path):
+    arm = drawn_arm()
+    wheel = sx.Part(random_gaussians(1, n=7, degree=1), color=ColorMap.tint((1.0, 0.5, 0.2)), visible=False)
+    scene = RiggedScene(*covering(arm, 50, sh_degree=1), arm.clips)
+    save_rigged(path, scene, name="arm", beside=sx.Scene({"wheel": wheel}))
+
+
 def write_body(path):
     save_body(path, drawn_arm())
 
@@ -86,14 +93,16 @@ def write_mesh(path):
     meshes.save(path, Mesh(corners, faces, np.full((4, 3), 128, np.uint8)))
 
 
-@pytest.mark.parametrize("write", [write_splats, write_parts, write_rigged, write_body, write_mesh])
+@pytest.mark.parametrize(
+    "write", [write_splats, write_parts, write_rigged, write_rigged_parts, write_body, write_mesh]
+)
 def test_the_validator_finds_nothing_but_the_extensions_that_it_does_not_know(
     messages_about, tmp_path, write
 ):
     write(tmp_path / "a.glb")
     messages = messages_about(tmp_path / "a.glb")
     assert [found for found in messages if not of_an_extension(found)] == []
-    assert bool(messages) == (write in (write_splats, write_parts, write_rigged))
+    assert bool(messages) == (write in (write_splats, write_parts, write_rigged, write_rigged_parts))
 
 
 def test_the_validator_finds_a_defect(messages_about, tmp_path):

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import splatax as sx
 from scene.skeletons import arm, bent, blended
+from scenes import random_gaussians
 from splatax.demo.rigged import drawn_arm, moves_of
 from splatax.io.rigs import load_rigged, read_body, save_rigged
 from splatax.io.rigs.following import check_following
@@ -21,7 +22,9 @@ from splatax.io.rigs.poses import Posing, read_poses, write_poses
 from splatax.io.rigs.writing import joints_attributes, save_body
 from splatax.scene.binding import bind, covering
 from splatax.scene.clips import Channel, Clip
+from splatax.scene.colors import ColorMap
 from splatax.scene.rigged import RiggedScene
+from splatax.transforms import Similarity
 
 TURN = np.diag([-1.0, -1.0, 1.0, 1.0])  # glTF's world to ours
 
@@ -113,6 +116,42 @@ def test_a_rigged_scene_moves_alike_after_saving_and_loading(tmp_path, turned):
     np.testing.assert_allclose(found.means, expected.means, atol=2e-5)
     np.testing.assert_allclose(found.covariances, expected.covariances, atol=1e-5)
     np.testing.assert_allclose(found.sh, expected.sh, atol=1e-5)
+
+
+def test_parts_beside_a_skinned_one_come_back_and_leave_its_skeleton_alone(tmp_path):
+    body = drawn_arm()
+    scene = RiggedScene(*covering(body, 60, sh_degree=1), body.clips)
+    wheel, table = random_gaussians(1, n=9, degree=2), random_gaussians(2, n=5, degree=0)
+    away = Similarity.of(degrees=(20.0, -50.0, 130.0), scale=0.6, move=(0.5, -0.3, 0.4))
+    tint = ColorMap.tint((1.0, 0.5, 0.2))
+    parts = {
+        "wheel": sx.Part(wheel, away, color=tint),
+        "spare wheel": sx.Part(wheel, visible=False),
+        "table": sx.Part(table),
+    }
+    save_rigged(tmp_path / "a.glb", scene, name="arm", beside=sx.Scene(parts))
+    found = sx.load_scene(tmp_path / "a.glb")
+    assert found.names == ("arm", "wheel", "spare wheel", "table")
+    np.testing.assert_allclose(found["arm"].gaussians.means, scene.gaussians.means, atol=1e-6)
+    for name, part in parts.items():
+        again = found[name]
+        assert bool(again.visible) == bool(part.visible)
+        np.testing.assert_allclose(again.gaussians.means, part.gaussians.means, atol=1e-6)
+        np.testing.assert_allclose(again.gaussians.sh, part.gaussians.sh, atol=1e-5)
+        np.testing.assert_allclose(again.pose.rotation, part.pose.rotation, atol=1e-6)
+        np.testing.assert_allclose(again.pose.translation, part.pose.translation, atol=1e-6)
+    np.testing.assert_allclose(found["wheel"].color.matrix, tint.matrix, atol=1e-6)
+
+    rigged = load_rigged(tmp_path / "a.glb")
+    assert rigged.rig.skeleton.names == scene.rig.skeleton.names
+    assert rigged.clips.keys() == scene.clips.keys()
+    (clip,) = scene.clips
+    np.testing.assert_allclose(rigged.at(clip, 0.3).means, scene.at(clip, 0.3).means, atol=2e-5)
+    with pytest.raises(sx.FormatError, match="two parts are called 'table'"):
+        save_rigged(tmp_path / "b.glb", scene, name="table", beside=sx.Scene(parts))
+    other = replace(table, low_pass=sx.Antialiasing(0.3))
+    with pytest.raises(sx.FormatError, match="different ones"):
+        save_rigged(tmp_path / "b.glb", scene, beside=sx.Scene({"table": sx.Part(other)}))
 
 
 def test_a_rigged_file_is_also_a_splat_file_in_the_bound_pose(rigged_file):

@@ -83,13 +83,15 @@ class Tab:
 
 @pytest.fixture
 def open_page(browser):
-    """Opens a page from its file, without a network, in a window of some size."""
+    """Opens a page from its file, without a network, in a window of some size, after a script of the test."""
     contexts = []
 
-    def open_page(path, size=(640, 480), **device) -> Tab:
+    def open_page(path, size=(640, 480), script="", **device) -> Tab:
         window = {"width": size[0], "height": size[1]}
         context = browser.new_context(viewport=window, reduced_motion="reduce", **device)
         context.set_offline(True)
+        if script:
+            context.add_init_script(script)
         contexts.append(context)
         return Tab(context, path)
 

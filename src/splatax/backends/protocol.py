@@ -12,6 +12,7 @@ from splatax.gaussians import Gaussians
 from splatax.low_pass import LowPass
 from splatax.moving import Moments, Rule, Step
 from splatax.splats import Splats
+from splatax.surfaces import Planes
 
 
 @runtime_checkable
@@ -190,6 +191,15 @@ class PullAndMove(Protocol):
         ...
 
 
+@runtime_checkable
+class FindPlanes(Protocol):
+    """The plane of each Gaussian in one view, from which depths and normals of surfaces are blended."""
+
+    def __call__(self, gaussians: Gaussians, camera: Camera, splats: Splats) -> Planes:
+        """Finds planes as `splatax.surfaces.planes` does."""
+        ...
+
+
 def runs_everywhere() -> str | None:
     """Returns None: the kernels run wherever JAX does."""
     return None
@@ -210,6 +220,7 @@ class Kernels:
         photometric: the loss.
         move: a step of Adam with the rows of the scene, with its prior and noise. Training uses it for the
             optimizers of the presets; others go through optax.
+        planes: the planes of Gaussians.
         why_unavailable: returns the reason why the kernels cannot run on this machine, or None if they can.
         dtypes: the names of the dtypes that all of the kernels compute in.
         draw: projection and rasterizer in one kernel; None if the backend has only the two. It is not used
@@ -226,6 +237,7 @@ class Kernels:
     select: Select
     photometric: Photometric
     move: Move
+    planes: FindPlanes
     why_unavailable: Callable[[], str | None] = runs_everywhere
     dtypes: tuple[str, ...] = ("float32", "float64")
     draw: Draw | None = None

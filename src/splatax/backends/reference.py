@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from splatax import along_rays, losses, moving, projection
+from splatax import along_rays, losses, moving, projection, surfaces
 from splatax.backends.linear import Dims, linear_call
 from splatax.backends.protocol import Kernels, Selection
 from splatax.splats import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, Splats
@@ -137,4 +137,12 @@ def weights_along_ray(alphas: Float[Array, " n"]) -> Float[Array, " n"]:
     return jnp.where(after >= MIN_TRANSMITTANCE, before * alphas, 0)
 
 
-KERNELS = Kernels("reference", projection.project, composite, select, losses.photometric, moving.move)
+KERNELS = Kernels(
+    "reference",
+    projection.project,
+    composite,
+    select,
+    losses.photometric,
+    moving.move,
+    surfaces.planes,
+)

@@ -153,10 +153,31 @@ def save_scene(
             f"{path}: a file names one low-pass filter, and the parts were trained with different ones. "
             "Train them alike."
         )
+    shown = chosen(scene, variants)
+    nodes, written = drawn_parts(path, shown)
+    for (name, part), node in zip(shown.parts.items(), nodes, strict=True):
+        if part is not (own := scene[name]):
+            node.setdefault("extras", {"splatax": {}})["splatax"]["alone"] = {
+                "visible": bool(own.visible > 0),
+                "color": _rows(own.color),
+            }
+    lines = (mark(filters.pop()), *comments)
+    glb.write(path, written, nodes, lines, {"variants": _written(variants)} if variants else {})
+    return sum(len(mesh.gaussians) for mesh in written)
+
+
+def drawn_parts(path: Path, scene: Scene) -> tuple[list[dict[str, Any]], list[glb.Mesh]]:
+    """Returns a node for each part of a scene, and the meshes that they place.
+
+    Parts that share their Gaussians and colours share a mesh.
+
+    Raises:
+        FormatError: if a part has SH above degree 3. The message names the file.
+    """
     meshes: dict[tuple[int, int], int] = {}
     written: list[glb.Mesh] = []
     nodes: list[dict[str, Any]] = []
-    for name, part in chosen(scene, variants).parts.items():
+    for name, part in scene.parts.items():
         if part.gaussians.sh_degree > glb.MAX_SH_DEGREE:
             raise FormatError(
                 f"{path}: .glb holds SH up to degree {glb.MAX_SH_DEGREE}, and part {name!r} has degree "
@@ -167,15 +188,7 @@ def save_scene(
             meshes[shared] = len(written)
             written.append(_mesh(part))
         nodes.append(_node(name, part, meshes[shared]))
-        if part is not scene[name]:
-            own = scene[name]
-            nodes[-1].setdefault("extras", {"splatax": {}})["splatax"]["alone"] = {
-                "visible": bool(own.visible > 0),
-                "color": _rows(own.color),
-            }
-    lines = (mark(filters.pop()), *comments)
-    glb.write(path, written, nodes, lines, {"variants": _written(variants)} if variants else {})
-    return sum(len(mesh.gaussians) for mesh in written)
+    return nodes, written
 
 
 def _written(variants: Variants) -> list[dict[str, Any]]:

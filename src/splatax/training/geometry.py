@@ -23,11 +23,11 @@ from jaxtyping import Array, Float
 
 from splatax.backends.protocol import Kernels
 from splatax.cameras import Camera
-from splatax.drawn import Drawn, Seen, unrolled
+from splatax.drawn import Drawn, Seen, planes_of, unrolled
 from splatax.outputs import Output
 from splatax.stages import composite
 from splatax.surface_outputs import from_middle, surface_channels, surface_depth
-from splatax.surfaces import normals_of, planes
+from splatax.surfaces import normals_of
 from splatax.training.objectives import TrainingView
 
 LEAST_VARIANCE = 1e-8  # of relative depth, below which float32 cannot tell it from zero
@@ -197,10 +197,8 @@ def _one_layer(drawn: Drawn) -> Layers:
 
 
 def _normals(seen: Seen) -> Float[Array, "n 3"]:
-    assert seen.gaussians is not None
-    assert seen.camera is not None
     # Those of the planes, not the shortest axes: round Gaussians are penalized too, and become flat.
-    return planes(seen.gaussians, seen.camera, seen.splats).normals
+    return planes_of(seen, "facing").normals
 
 
 def _normals_and_alpha(drawn: Drawn) -> Float[Array, "h w 4"]:

@@ -226,8 +226,10 @@ def beside(view: Shown, context: Shown | None) -> Shown:
 def shown(gaussians: Gaussians, camera: Camera, recipe: Recipe, divisor: int) -> Shown:
     """Projects a scene, or a part of it, for a photo that is smaller by `divisor`."""
     low_pass = filtered(recipe.drawing.low_pass, divisor)
-    splats = project(gaussians, camera, low_pass=low_pass, backend=backends.resolve(recipe.drawing.backend))
-    channels = geometry.channels(recipe.objective.geometry.outputs, Seen(splats, gaussians, camera))
+    kernels = backends.resolve(recipe.drawing.backend)
+    splats = project(gaussians, camera, low_pass=low_pass, backend=kernels)
+    seen = Seen(splats, gaussians, camera, kernels=kernels)
+    channels = geometry.channels(recipe.objective.geometry.outputs, seen)
     return Shown(recipe.density.watch(splats), channels)
 
 

@@ -25,6 +25,8 @@ class LocationSearch:
 
     Attributes:
         steps: number of steps of Adam, at least 1.
+        shifting: fraction of the steps, at the start, in which the part is shifted and not turned. A small
+            part that is some pixels beside its place gets a wrong turn, from which it may not come back.
         rate: learning rate at the start, radians per step, and fractions of the part's radius per step for
             the translation; it falls log-linearly.
         final: fraction of `rate` at the end.
@@ -33,6 +35,7 @@ class LocationSearch:
     """
 
     steps: int = 200
+    shifting: float = 0.3
     rate: float = 0.02
     final: float = 0.05
     depth_weight: float = 20.0
@@ -76,7 +79,7 @@ def location_search(
     """Moves a part rigidly towards a frame, and yields its pose and the loss after each step.
 
     The loss is the mean absolute difference of colour, plus that of relative depth over the pixels where both
-    have a surface. The part turns about its middle. The other parts stay.
+    have a surface. The part is shifted first, and then also turned about its middle. The other parts stay.
 
     Args:
         scene: the parts, at poses near those in the frame.
@@ -86,7 +89,8 @@ def location_search(
         renderer: background, filter and backend.
 
     Raises:
-        InputError: if the images do not have the camera's size, or there are no steps.
+        InputError: if the images do not have the camera's size, there are no steps, or the fraction of
+            those that only shift is not in [0, 1].
         ValueError: if there is no part of this name.
     """
     size = (frame.camera.height, frame.camera.width)
@@ -97,6 +101,8 @@ def location_search(
         )
     if search.steps < 1:
         raise InputError(f"a search of {search.steps} steps. Give at least 1.")
+    if not 0 <= search.shifting <= 1:
+        raise InputError(f"a fraction {search.shifting} of steps that only shift. Give a number from 0 to 1.")
     start = scene[name].pose.cast(jnp.float32)
     means = np.asarray(scene[name].gaussians.means, np.float64)
     means = means[np.isfinite(means).all(axis=1)]
@@ -110,9 +116,12 @@ def location_search(
     target = jnp.asarray(frame.rgb, jnp.float32), jnp.nan_to_num(jnp.asarray(frame.depth, jnp.float32))
     weights = jnp.array([search.depth_weight, search.most], jnp.float32)
 
-    for _ in range(search.steps):
+    for step in range(search.steps):
         value, gradient = _compare(steps, place, scene, target, frame.camera, weights, renderer, name)
-        updates, state = rule.update(jnp.nan_to_num(gradient), state)
+        gradient = jnp.nan_to_num(gradient)
+        if step < search.shifting * search.steps:
+            gradient = gradient.at[:3].set(0)
+        updates, state = rule.update(gradient, state)
         steps = jnp.asarray(optax.apply_updates(steps, updates))
         yield place.moved(steps), value
 

@@ -11,6 +11,7 @@ from splatax.backends.cpu.composite import MAX_PAIRS, composite, select
 from splatax.backends.cpu.library import ALL_THREADS, Build
 from splatax.backends.cpu.moving import NativePullAndMove, move
 from splatax.backends.cpu.photometric import with_gradient
+from splatax.backends.cpu.planes import planes
 from splatax.backends.cpu.projection import projections
 from splatax.backends.cpu.survey import NativeSurvey
 from splatax.backends.cpu.views import NativeDrawing
@@ -39,6 +40,7 @@ def kernels(
         select=selection,
         photometric=partial(fused_loss.photometric, kernel=partial(with_gradient, build=build)),
         move=step,
+        planes=partial(planes, build=build),
         why_unavailable=partial(library.why_unavailable, instructions),
         dtypes=("float32",),
         draw=NativeDrawing(build, max_pairs, projection, rasterizer),

@@ -8,7 +8,7 @@ the CPU, where the same handlers and kernels run under an emulation.
 from collections.abc import Callable
 from functools import partial
 
-from splatax import moving
+from splatax import moving, surfaces
 from splatax.backends import fused_loss, projection_kernels
 from splatax.backends.cuda import nvidia
 from splatax.backends.cuda.composite import MAX_PAIRS, composite
@@ -41,6 +41,7 @@ def kernels(
         select=select,
         photometric=partial(fused_loss.photometric, kernel=partial(with_gradient, library=library)),
         move=moving.move,
+        planes=surfaces.planes,
         why_unavailable=why_unavailable,
         dtypes=("float32",),
     )

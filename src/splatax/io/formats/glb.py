@@ -162,9 +162,7 @@ def _primitive(
     mesh: Mesh, accessors: list[dict[str, Any]], views: list[dict[str, Any]], chunks: list[bytes]
 ) -> dict[str, Any]:
     """Appends the attributes of Gaussians to the file's lists, and returns their primitive."""
-    arrays = attributes_of(half_turn(mesh.gaussians, axis=2))
-    if mesh.original is not None:
-        arrays |= harmonics_of(half_turn(mesh.original, axis=2), ORIGINAL)
+    arrays = arrays_of(mesh)
     attributes = {}
     offset = sum(map(len, chunks))
     for name, values in arrays.items():
@@ -184,6 +182,14 @@ def _primitive(
         chunks.append(values.tobytes())
         offset += values.nbytes  # all are multiples of 4
     return {"attributes": attributes, "mode": 0, "extensions": {EXTENSION: PROPERTIES}}
+
+
+def arrays_of(mesh: Mesh) -> dict[str, np.ndarray]:
+    """Returns the attributes of a mesh of splats by name, in glTF's frame."""
+    arrays = attributes_of(half_turn(mesh.gaussians, axis=2))
+    if mesh.original is not None:
+        arrays |= harmonics_of(half_turn(mesh.original, axis=2), ORIGINAL)
+    return arrays
 
 
 def attributes_of(gaussians: Gaussians) -> dict[str, np.ndarray]:

@@ -99,7 +99,12 @@ def _moving_nodes(path: Path, gltf: dict[str, Any]) -> Nodes:
     listed = gltf.get("nodes", [])
     parents = {child: i for i, node in enumerate(listed) for child in node.get("children", ())}
     wanted = {joint for skin in gltf.get("skins", ()) for joint in skin["joints"]}
-    wanted |= {i for i, node in enumerate(listed) if "mesh" in node and "skin" not in node}
+    still = _meshes_of_splats(gltf)
+    wanted |= {
+        i
+        for i, node in enumerate(listed)
+        if "mesh" in node and "skin" not in node and node["mesh"] not in still
+    }
     if not wanted:
         raise FormatError(
             f"{path}: nothing in it can move: it has neither a skin nor nodes with meshes. Export the body "
@@ -119,6 +124,16 @@ def _moving_nodes(path: Path, gltf: dict[str, Any]) -> Nodes:
     names = _unique((node, str(listed[node].get("name") or f"node {node}")) for node in ids)
     tops = [places.get(parents.get(node, -1), -1) for node in ids]
     return Nodes(ids, tops, names, np.stack([_local(listed[node]) for node in ids]))
+
+
+def _meshes_of_splats(gltf: dict[str, Any]) -> set[int]:
+    """Returns the meshes that are made of splats alone. Without a skin, they are parts that stay."""
+    return {
+        number
+        for number, mesh in enumerate(gltf.get("meshes", ()))
+        if mesh["primitives"]
+        and all(glb_scene.EXTENSION in primitive.get("extensions", {}) for primitive in mesh["primitives"])
+    }
 
 
 def _unique(named: Iterable[tuple[int, str]]) -> list[str]:

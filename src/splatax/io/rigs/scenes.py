@@ -19,7 +19,9 @@ from splatax.io.formats.marks import mark, marked
 from splatax.io.formats.untrusted import structured
 from splatax.io.rigs.following import check_following
 from splatax.io.rigs.nodes import read_skeleton
-from splatax.io.rigs.writing import joints_attributes, write_skinned
+from splatax.io.rigs.writing import POINTS, Beside, Skinned, joints_attributes, write_skinned
+from splatax.io.scenes import drawn_parts
+from splatax.scene import Scene
 from splatax.scene.rigged import RiggedScene
 from splatax.scene.skin import Rig
 from splatax.transforms import Similarity, half_turn
@@ -27,7 +29,14 @@ from splatax.transforms import Similarity, half_turn
 PLACED = 1e-4  # difference from the identity up to which splats are in the bound pose as they are
 
 
-def save_rigged(path: str | Path, scene: RiggedScene, *, comments: tuple[str, ...] = ()) -> None:
+def save_rigged(
+    path: str | Path,
+    scene: RiggedScene,
+    *,
+    comments: tuple[str, ...] = (),
+    name: str = "skinned",
+    beside: Scene | None = None,
+) -> None:
     """Writes a rigged scene as a .glb file. Each Gaussian keeps its four strongest joints.
 
     Empty slots are left out, and broken Gaussians too, with a warning that counts them. The file names the
@@ -37,11 +46,16 @@ def save_rigged(path: str | Path, scene: RiggedScene, *, comments: tuple[str, ..
         path: path of the file.
         scene: the Gaussians, their rig and its clips.
         comments: lines to keep with the scene, beside the one that names its filter.
+        name: name of the part that has the skin, for `splatax.load_scene`.
+        beside: further parts, which do not follow the skeleton; None for none. `splatax.load_scene` reads
+            them, and the skinned part in its bound pose.
 
     Raises:
-        FormatError: if the SH degree is above 3.
+        FormatError: if the SH degree is above 3, or if further parts have the name of the skinned one or were
+            trained with another low-pass filter.
     """
     path = Path(path)
+    standing = _beside(path, scene, name, beside)
     if scene.gaussians.sh_degree > glb.MAX_SH_DEGREE:
         raise FormatError(
             f"{path}: .glb holds SH up to degree {glb.MAX_SH_DEGREE}, and the scene has degree "
@@ -56,9 +70,24 @@ def save_rigged(path: str | Path, scene: RiggedScene, *, comments: tuple[str, ..
     indices, weights = (np.asarray(rows)[keep] for rows in (rig.indices, rig.weights))
     attributes = glb.attributes_of(half_turn(gaussians, axis=2))
     attributes |= joints_attributes(indices, weights, len(rig.skeleton))
-    primitive = {"mode": 0, "extensions": {EXTENSION: glb.PROPERTIES}}
     lines = (mark(whole.low_pass), *comments)
-    write_skinned(path, rig.skeleton, scene.clips, attributes, primitive, comments=lines)
+    mesh = Skinned(attributes, POINTS, name=name)
+    write_skinned(path, rig.skeleton, scene.clips, mesh, lines, standing)
+
+
+def _beside(path: Path, scene: RiggedScene, name: str, beside: Scene | None) -> Beside:
+    """Returns the nodes and meshes of the parts beside a skinned one."""
+    if beside is None:
+        return Beside()
+    if name in beside.names:
+        raise FormatError(f"{path}: two parts are called {name!r}. Give the skinned part another name.")
+    if {part.gaussians.low_pass for part in beside.parts.values()} != {scene.gaussians.low_pass}:
+        raise FormatError(
+            f"{path}: a file names one low-pass filter, and the parts were trained with different ones. "
+            "Train them alike."
+        )
+    nodes, meshes = drawn_parts(path, beside)
+    return Beside(nodes, [glb.arrays_of(mesh) for mesh in meshes])
 
 
 def load_rigged(path: str | Path) -> RiggedScene:

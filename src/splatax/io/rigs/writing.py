@@ -3,13 +3,15 @@
 import json
 import struct
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from splatax.io.files import write_whole
+from splatax.io.formats.glb import PROPERTIES
 from splatax.io.formats.glb_scene import EXTENSION
 from splatax.io.rigs.nodes import FRAME
 from splatax.math.srgb import to_linear
@@ -19,6 +21,7 @@ from splatax.scene.skeleton import Skeleton
 
 TYPES = {"u1": 5121, "u2": 5123, "u4": 5125, "f4": 5126}  # NumPy's codes to glTF's component types
 KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
+POINTS = {"mode": 0, "extensions": {EXTENSION: PROPERTIES}}  # of a primitive of splats
 VERTICES, INDICES = 34962, 34963  # glTF's buffer targets
 
 
@@ -76,29 +79,83 @@ class Glb:
         write_whole(path, b"".join([head, struct.pack("<I4s", self.length, b"BIN\0"), *self.parts]))
 
 
+@dataclass(frozen=True)
+class Skinned:
+    """A mesh that follows a skeleton.
+
+    Attributes:
+        attributes: of the vertices, in glTF's frame and the bound pose, with JOINTS_0 and WEIGHTS_0.
+        primitive: other properties of the mesh's primitive.
+        triangles: indices of vertices; None for a mesh of points.
+        name: name of its node.
+    """
+
+    attributes: Mapping[str, np.ndarray]
+    primitive: Mapping[str, Any]
+    triangles: Int[np.ndarray, "t 3"] | None = None
+    name: str = "skinned"
+
+
+class Beside(NamedTuple):
+    """What stands beside a skinned mesh in a file and does not move.
+
+    Attributes:
+        nodes: glTF's objects, which name their mesh by its index here.
+        attributes: those of each mesh, which is made of points.
+    """
+
+    nodes: Sequence[dict[str, Any]] = ()
+    attributes: Sequence[Mapping[str, np.ndarray]] = ()
+
+
 def write_skinned(
     path: Path,
     skeleton: Skeleton,
     clips: Mapping[str, Clip],
-    attributes: Mapping[str, np.ndarray],
-    primitive: Mapping[str, Any],
-    triangles: Int[np.ndarray, "t 3"] | None = None,
+    mesh: Skinned,
     comments: Sequence[str] = (),
+    beside: Beside = Beside(),
 ) -> None:
-    """Writes one mesh that follows a skeleton.
+    """Writes one mesh that follows a skeleton, and other meshes that stay.
 
     Args:
         path: file to write.
         skeleton: the joints, which become nodes.
         clips: by name.
-        attributes: of the vertices, in glTF's frame and the bound pose, with JOINTS_0 and WEIGHTS_0.
-        primitive: other properties of the mesh's primitive.
-        triangles: indices of vertices; None for a mesh of points.
+        mesh: what follows them.
         comments: lines for the file's extras.
+        beside: what stays.
     """
     glb = Glb()
     count = len(skeleton)
-    accessors = {
+    primitives = [{**mesh.primitive, "attributes": _accessors(glb, mesh.attributes)}]
+    if mesh.triangles is not None:
+        primitives[0]["indices"] = glb.add(mesh.triangles.reshape(-1, 1).astype("<u4"), target=INDICES)
+    primitives += [{**POINTS, "attributes": _accessors(glb, rows)} for rows in beside.attributes]
+    binds = np.asarray(skeleton.inverse_binds, np.float64) @ FRAME
+    inverse = glb.add(binds.transpose(0, 2, 1).reshape(count, 16).astype("<f4"))
+    animations = [_animation(glb, name, clip) for name, clip in clips.items() if clip.channels]
+    nodes = [*_nodes(skeleton), {"name": mesh.name, "mesh": 0, "skin": 0}, *_frame(skeleton)]
+    standing = [node | {"mesh": node["mesh"] + 1} for node in beside.nodes]
+    gltf: dict[str, Any] = {
+        "asset": {"version": "2.0", "generator": "splatax", "extras": {"comments": list(comments)}},
+        "scene": 0,
+        "scenes": [{"nodes": [*_tops(skeleton), count, *range(len(nodes), len(nodes) + len(standing))]}],
+        "nodes": [*nodes, *standing],
+        "meshes": [{"primitives": [primitive]} for primitive in primitives],
+        "skins": [{"joints": list(range(count)), "inverseBindMatrices": inverse}],
+    }
+    used = {name for thing in (*primitives, *standing) for name in thing.get("extensions", ())}
+    if used:
+        gltf["extensionsUsed"] = sorted(used)
+    if animations:
+        gltf["animations"] = animations
+    glb.write(path, gltf)
+
+
+def _accessors(glb: Glb, attributes: Mapping[str, np.ndarray]) -> dict[str, int]:
+    """Appends the attributes of a mesh, and returns their accessors by name."""
+    return {
         name: glb.add(
             rows,
             target=VERTICES,
@@ -107,25 +164,6 @@ def write_skinned(
         )
         for name, rows in attributes.items()
     }
-    mesh = {**primitive, "attributes": accessors}
-    if triangles is not None:
-        mesh["indices"] = glb.add(triangles.reshape(-1, 1).astype("<u4"), target=INDICES)
-    binds = np.asarray(skeleton.inverse_binds, np.float64) @ FRAME
-    inverse = glb.add(binds.transpose(0, 2, 1).reshape(count, 16).astype("<f4"))
-    animations = [_animation(glb, name, clip) for name, clip in clips.items() if clip.channels]
-    gltf: dict[str, Any] = {
-        "asset": {"version": "2.0", "generator": "splatax", "extras": {"comments": list(comments)}},
-        "scene": 0,
-        "scenes": [{"nodes": [*_tops(skeleton), count]}],
-        "nodes": [*_nodes(skeleton), {"name": "skinned", "mesh": 0, "skin": 0}, *_frame(skeleton)],
-        "meshes": [{"primitives": [mesh]}],
-        "skins": [{"joints": list(range(count)), "inverseBindMatrices": inverse}],
-    }
-    if EXTENSION in primitive.get("extensions", {}):
-        gltf["extensionsUsed"] = [EXTENSION]
-    if animations:
-        gltf["animations"] = animations
-    glb.write(path, gltf)
 
 
 def joints_attributes(
@@ -150,7 +188,8 @@ def save_body(path: str | Path, body: Body) -> None:
         "COLOR_0": to_linear(surface.colors).astype("<f4"),  # glTF's are linear light
         **joints_attributes(surface.indices, surface.weights, len(body.skeleton)),
     }
-    write_skinned(Path(path), body.skeleton, body.clips, attributes, {"mode": 4}, surface.triangles)
+    mesh = Skinned(attributes, {"mode": 4}, surface.triangles)
+    write_skinned(Path(path), body.skeleton, body.clips, mesh)
 
 
 def _turned(skeleton: Skeleton) -> bool:

@@ -69,7 +69,7 @@ def learn(views, recipe, truth):
 
 TRUTH = random_gaussians(n=80, degree=0, spread=0.8, scale=(0.05, 0.25))  # of `capture`
 KNOWN = replace(
-    RECIPE.on("xla"),
+    RECIPE.on(sx.backends.resolve("auto")),
     steps=200,
     density=NoDensityControl(),
     optimizer=Optimizer(rates=STILL),

@@ -29,7 +29,11 @@ def exposed(dataset):
 
 def run(dataset, appearance):
     recipe = replace(
-        RECIPE.on(sx.backends.resolve("auto")), steps=300, density=NoDensityControl(), appearance=appearance, sh=ShSchedule(0)
+        RECIPE.on(sx.backends.resolve("auto")),
+        steps=300,
+        density=NoDensityControl(),
+        appearance=appearance,
+        sh=ShSchedule(0),
     )
     for progress in optimize(dataset, recipe):
         pass

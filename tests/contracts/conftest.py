@@ -3,12 +3,19 @@
 import pytest
 from enrolled import NAMES, available
 
+import emulated
 from splatax.backends.cpu import library
 
 
 @pytest.fixture(params=NAMES)
 def backend(request):
     """Each backend in turn, as a name or kernels; those that this machine cannot run are skipped."""
+    return available(request.param)
+
+
+@pytest.fixture(params=[name for name in NAMES if name != "reference"])
+def fast(request):
+    """Each backend that is compared with the reference."""
     return available(request.param)
 
 
@@ -44,15 +51,23 @@ def pytest_collection_modifyitems(config, items):
                 left_out.add(item)
         if repeats(item.module.__name__, parameters):
             item.add_marker(pytest.mark.slow)
+        if backend_of(parameters) == "xla" and parameters.get("channels", 5) not in (5, 17):
+            left_out.add(item)  # the portable backend is one program for all widths
     config.hook.pytest_deselected(items=list(left_out))
     items[:] = [item for item in items if item not in left_out]
 
 
 def repeats(module, parameters):
-    """Whether `make slow` suffices for a case: the oracle under transformations of JAX; the portable backend
-    with more widths, all of which one program serves."""
+    """Whether `make slow` suffices for a case: the oracle under transformations of JAX; the emulated CUDA
+    backend under those that go through the derivatives of the portable backend."""
+    transformed = ("test_derivatives", "test_transformations")
+    if backend_of(parameters) == emulated.NAME:
+        return module.endswith(transformed)
+    others = ("test_outputs", "test_parts", "test_doors")
+    return backend_of(parameters) == "reference" and module.endswith((*transformed, *others))
+
+
+def backend_of(parameters):
+    """The name of the backend among the parameters of a test, or None."""
     named = (value for value in parameters.values() if isinstance(value, str) and value in NAMES)
-    backend = next(named, None)
-    if backend == "reference":
-        return module.endswith(("test_derivatives", "test_transformations", "test_outputs"))
-    return backend == "xla" and "channels" in parameters and parameters["channels"] not in (5, 17)
+    return next(named, None)

@@ -21,13 +21,37 @@ from splatax.rendering import render  # noqa: E402
 DEVICES = 8
 GAUSSIANS = random_gaussians(n=20, degree=1)
 CAMERAS = [camera_at((0.2 * i - 0.7, 0.3, -4), size=(16, 8), focal=14.0) for i in range(DEVICES)]
+WEIGHTS = jnp.asarray(np.random.default_rng(0).normal(size=(DEVICES, 8, 16, 3)), jnp.float32)
 
 
-def check(backend: str | Kernels, check_vma: bool) -> None:
+def alone(backend: str | Kernels):
+    """Returns the image of each camera, and the sums over cameras of their losses' gradients."""
+
+    @jax.jit
+    def drawn(gaussians, camera, weight):
+        def loss(gaussians, camera):
+            image = render(gaussians, camera, backend=backend).rgb
+            return jnp.sum(image * weight), image
+
+        gradients, image = jax.grad(loss, argnums=(0, 1), has_aux=True)(gaussians, camera)
+        return image, gradients
+
+    images, gradients = zip(
+        *(drawn(GAUSSIANS, c, w) for c, w in zip(CAMERAS, WEIGHTS, strict=True)), strict=True
+    )
+    by_scene = jax.tree.map(lambda *leaves: sum(leaves), *(scene for scene, _ in gradients))
+    return (
+        images,
+        by_scene,
+        jax.tree.map(lambda *leaves: jnp.stack(leaves), *(camera for _, camera in gradients)),
+    )
+
+
+def check(backend: str | Kernels, check_vma: bool, expected) -> None:
     """Compares images and gradients of a scene that all devices share with those of a loop over cameras."""
+    expected_images, expected_scene, expected_cameras = expected
     mesh = jax.make_mesh((DEVICES,), ("view",), axis_types=(jax.sharding.AxisType.Auto,))
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *CAMERAS)
-    weights = jnp.asarray(np.random.default_rng(0).normal(size=(DEVICES, 8, 16, 3)), jnp.float32)
 
     def sharded(function, out_specs):
         specs = (P(), P("view"), P("view"))
@@ -42,16 +66,11 @@ def check(backend: str | Kernels, check_vma: bool) -> None:
         return jnp.sum(render(gaussians, camera, backend=backend).rgb * weight)
 
     images = sharded(lambda g, c, w: render(g, own(c), backend=backend).rgb[None], P("view"))
-    for image, camera in zip(images(GAUSSIANS, stacked, weights), CAMERAS, strict=True):
-        assert_allclose(image, render(GAUSSIANS, camera, backend=backend).rgb, atol=1e-6)
+    for image, wanted in zip(images(GAUSSIANS, stacked, WEIGHTS), expected_images, strict=True):
+        assert_allclose(image, wanted, atol=1e-6)
 
     total = sharded(lambda g, c, w: jax.lax.psum(view_loss(g, own(c), own(w)), "view"), P())
-    found = jax.grad(total, argnums=(0, 1))(GAUSSIANS, stacked, weights)
-    alone = [
-        jax.grad(view_loss, argnums=(0, 1))(GAUSSIANS, c, w) for c, w in zip(CAMERAS, weights, strict=True)
-    ]
-    expected_scene = jax.tree.map(lambda *leaves: sum(leaves), *(scene for scene, _ in alone))
-    expected_cameras = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(camera for _, camera in alone))
+    found = jax.grad(total, argnums=(0, 1))(GAUSSIANS, stacked, WEIGHTS)
     for a, b in zip(jax.tree.leaves(found), jax.tree.leaves((expected_scene, expected_cameras)), strict=True):
         assert_allclose(a, b, atol=1e-5 * np.abs(b).max())
 
@@ -60,12 +79,14 @@ def check(backend: str | Kernels, check_vma: bool) -> None:
         d = jax.grad(view_loss)(g, own(c), own(w))
         return d if check_vma else jax.lax.psum(d, "view")
 
-    inside = sharded(mean_gradient, P())(GAUSSIANS, stacked, weights)
+    inside = sharded(mean_gradient, P())(GAUSSIANS, stacked, WEIGHTS)
     for a, b in zip(jax.tree.leaves(inside), jax.tree.leaves(expected_scene), strict=True):
         assert_allclose(a, b, atol=1e-5 * np.abs(b).max())
 
 
 if __name__ == "__main__":
     assert jax.device_count() == DEVICES
+    chosen = available(sys.argv[1])
+    expected = alone(chosen)
     for check_vma in (True, False):
-        check(available(sys.argv[1]), check_vma)
+        check(chosen, check_vma, expected)

@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from enrolled import NAMES, available
 from numpy.testing import assert_allclose, assert_array_equal
 
 import splatax as sx
@@ -15,11 +14,6 @@ from scenes import camera_at, random_gaussians
 from splatax.stages import composite, project, select
 
 FIELDS = ("means2d", "sqrt_conics", "opacities", "slants", "pull")
-
-
-@pytest.fixture(params=[name for name in NAMES if name != "reference"])
-def fast(request):
-    return available(request.param)
 
 
 def view(flat, n=150, dtype=np.float32):

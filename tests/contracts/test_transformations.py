@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import jax
@@ -20,15 +21,25 @@ STACKED = jax.tree.map(lambda *leaves: jnp.stack(leaves), *CAMERAS)
 WEIGHTS = jnp.asarray(np.random.default_rng(0).normal(size=(12, 16, 3)), jnp.float32)
 
 
-@pytest.fixture
-def loss(backend):
+@cache
+def loss_of(backend):
     return lambda gaussians, camera: jnp.sum(render(gaussians, camera, backend=backend).rgb * WEIGHTS)
 
 
+@cache
+def one_by_one(backend):
+    return [jax.value_and_grad(loss_of(backend), (0, 1))(GAUSSIANS, camera) for camera in CAMERAS]
+
+
 @pytest.fixture
-def expected(loss):
+def loss(backend):
+    return loss_of(backend)
+
+
+@pytest.fixture
+def expected(backend):
     """Losses of the cameras, and gradients in scene and camera, one after the other."""
-    return [jax.value_and_grad(loss, (0, 1))(GAUSSIANS, camera) for camera in CAMERAS]
+    return one_by_one(backend)
 
 
 def assert_same(actual, expected):

@@ -106,7 +106,9 @@ def test_alpha_of_a_disc_is_that_of_the_point_where_the_ray_meets_it(camera):
         assert_allclose(drawn_alone(splats, i), expected, atol=1e-9)
 
 
-@pytest.mark.parametrize("flat", [False, True])
+@pytest.mark.parametrize(
+    ("camera", "flat"), [("pinhole", True), ("orthographic", False)], indirect=["camera"]
+)
 def test_gradients_of_scene_and_camera_are_those_of_finite_differences(camera, flat):
     gaussians = scene(flat, n=6)
     shapes = jnp.ones((1, 3)).at[:, 2].set(0 if flat else 1)

@@ -108,6 +108,7 @@ def test_photos_without_matches_keep_their_poses(views):
     assert "too few features match" in str(outcome)
 
 
+@pytest.mark.slow
 def test_lenses_that_were_set_to_zero_come_back_each_for_its_own_photos():
     paper, lenses = corner.wallpaper(), [opencv(-0.2, 0.05), opencv(0.1)]
     true = [view(i, at, paper, lenses[i % 2]) for i, at in enumerate(corner.positions())]

@@ -28,7 +28,10 @@ def dataset():
     return capture()
 
 
-@pytest.fixture(scope="module", params=PRESETS)
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(n, marks=pytest.mark.slow if n == "2dgs" else []) for n in PRESETS],
+)
 def whole(request, dataset):
     """A recipe, what each of its steps yields, the checkpoints on the way, and the scene at the end."""
     recipe = shortened(request.param)

@@ -33,7 +33,7 @@ HEADERS := build/headers
 JAXLIB := $(shell sed -n 's/.*"\(jaxlib==[^"]*\)".*/\1/p' pyproject.toml)
 sanitize: $(READY) $(HEADERS)/.ready  ## runs the tests of the native library under the address and undefined-behaviour sanitizers
 	PYTHONPATH=$(abspath $(HEADERS)) cmake -S . -B $(SANITIZED) -DPython_EXECUTABLE=$(abspath $(BIN)/python) -DSPLATAX_SANITIZE=address,undefined
-	cmake --build $(SANITIZED) --parallel $(shell getconf _NPROCESSORS_ONLN)
+	cmake --build $(SANITIZED) --target sanitized --parallel $(shell getconf _NPROCESSORS_ONLN)
 	LD_PRELOAD="$$($(CXX) -print-file-name=libasan.so) $$($(CXX) -print-file-name=libubsan.so) $$($(CXX) -print-file-name=libstdc++.so)" \
 	  ASAN_OPTIONS=detect_leaks=0:malloc_context_size=1:quarantine_size_mb=16 \
 	  JAX_DISABLE_MOST_OPTIMIZATIONS=1 SPLATAX_NATIVE=$(abspath $(SANITIZED)) \

@@ -133,8 +133,18 @@ def reverse_over_forward(loss, point, direction):
     return jax.grad(lambda point: jax.jvp(loss, (point,), (direction,))[1])(point)
 
 
+def reverse_over_reverse(loss, point, direction):
+    """The same product: the gradient of the gradient's part along a direction."""
+
+    def along(point):
+        leaves = zip(jax.tree.leaves(jax.grad(loss)(point)), jax.tree.leaves(direction), strict=True)
+        return sum(jnp.sum(a * b) for a, b in leaves)
+
+    return jax.grad(along)(point)
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("product", [forward_over_reverse, reverse_over_forward])
+@pytest.mark.parametrize("product", [forward_over_reverse, reverse_over_forward, reverse_over_reverse])
 def test_hessian_vector_products_equal_the_reference(backend, product):
     direction = like(POINT)
     found = jax.jit(lambda point: product(loss_of(backend), point, direction))(POINT)

@@ -146,13 +146,23 @@ def reverse_over_forward(loss, point, direction):
     return jax.grad(lambda point: jax.jvp(loss, (point,), (direction,))[1])(point)
 
 
+def reverse_over_reverse(loss, point, direction):
+    """The same product: the gradient of the gradient's part along a direction."""
+
+    def along(point):
+        leaves = zip(jax.tree.leaves(jax.grad(loss)(point)), jax.tree.leaves(direction), strict=True)
+        return sum(jnp.sum(a * b) for a, b in leaves)
+
+    return jax.grad(along)(point)
+
+
 @cache
 def hessian_vector_product(backend, product):
     return jax.jit(partial(product, loss_of(backend)))(POINT, like(POINT))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("product", [forward_over_reverse, reverse_over_forward])
+@pytest.mark.parametrize("product", [forward_over_reverse, reverse_over_forward, reverse_over_reverse])
 def test_hessian_vector_products_equal_the_reference(backend, product):
     expected = hessian_vector_product("reference", forward_over_reverse)
     assert_same(hessian_vector_product(backend, product), expected, 2e-3)

@@ -136,6 +136,18 @@ def test_lenses_that_were_set_to_zero_come_back_each_for_its_own_photos():
     assert "; 2 lenses, focal lengths times 1.0000 to 1.0000" in str(outcome)
 
 
+@pytest.mark.slow
+def test_a_lens_that_was_set_to_zero_comes_back_to_one_percent(monkeypatch):
+    monkeypatch.setattr(triangulation, "SMALL", 800)  # the features of photos of this size
+    paper = corner.wallpaper()
+    true = [view(i, at, paper, opencv(-0.2, 0.05)) for i, at in enumerate(corner.positions())]
+    zeroed = [replace(v, camera=replace(v.camera, lens=opencv())) for v in true]
+    outcome = adjusted_cameras(zeroed, "poses+distortion")
+    assert outcome.helps
+    # With large features, k2 is 1.2 % off.
+    np.testing.assert_allclose(outcome.views[0].camera.lens.radials[:2], [-0.2, 0.05], rtol=0.01)
+
+
 def test_each_photo_with_a_lens_of_its_own_gets_its_focal_length(views):
     factors = [0.97, 1.02, 0.99, 1.03, 0.985]
     wrong = with_focals(views, factors)

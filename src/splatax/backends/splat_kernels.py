@@ -8,14 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from splatax.backends.foreign import Shape
-from splatax.backends.portable.composite import (
-    arguments_of,
-    backward,
-    curvature_of_blend,
-    directions,
-    forward,
-    moved,
-)
+from splatax.backends.portable.composite import change_of_gradient, curvature_of_blend
 from splatax.splats import Splats
 
 
@@ -40,7 +33,7 @@ def gradients_of(splats: Splats, arrays: Sequence[Array]) -> tuple[Splats, Float
 
 
 def second_derivative(primals, tangents) -> tuple[Splats, Float[Array, "n c"]]:
-    """Returns the tangents of the gradients, by the portable kernel, which JAX differentiates.
+    """Returns the tangents of the gradients, by the portable kernel; they can be differentiated again.
 
     Args:
         primals: residuals, which begin with splats and channels, and the cotangents of the image.
@@ -48,14 +41,7 @@ def second_derivative(primals, tangents) -> tuple[Splats, Float[Array, "n c"]]:
     """
     (splats, channels, *_), cotangents = primals
     (d_splats, d_channels, *_), d_cotangents = tangents
-
-    def gradient(moving, cotangents):
-        return backward(forward(*moved(splats, moving))[1], cotangents)
-
-    count = arguments_of(splats)
-    point = directions(splats, channels)[:count], cotangents
-    _, out = jax.jvp(gradient, point, (directions(d_splats, d_channels)[:count], d_cotangents))
-    return out
+    return change_of_gradient((splats, channels, cotangents), (d_splats, d_channels, d_cotangents))
 
 
 def curvature(residuals, tangents: tuple[Array, ...], cotangents: tuple[Array, ...]):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from splatax.reconstruction import mapping
 from splatax.reconstruction.calibration import DISTORTION, FOCAL, Free
 from splatax.reconstruction.similarity import similarity_of_cameras
 from splatax.reconstruction.triangulation import DATABASE
@@ -21,6 +22,8 @@ LOOSE_ANGLE = 4.0  # degrees: the same for angles, twice COLMAP's
 FEWEST_OBSERVATIONS = 20  # of a photo, below which it keeps its given pose
 FEWEST_OF_LENS = 100  # observations through a lens, below which it stays as given
 OUTLIER = 1.0  # pixels: scale of Cauchy's loss
+LARGE = 0.004  # of a photo's diagonal: scale of features from which they are left out where a lens is found
+ENOUGH = 0.5  # of a photo's observations that are of smaller features, for it to do without the others
 
 
 @dataclass(frozen=True)
@@ -63,8 +66,13 @@ def features_of(model: "pycolmap.Reconstruction", point: int) -> list[tuple[int,
     return [(e.image_id, e.point2D_idx) for e in model.point3D(point).track.elements]
 
 
-def adjust(model: "pycolmap.Reconstruction", free: Free) -> Part:
-    """Moves the points of a model, and the cameras with enough observations, so that they agree."""
+def adjust(model: "pycolmap.Reconstruction", free: Free, work: Path) -> Part:
+    """Moves the points of a model, and the cameras with enough observations, so that they agree.
+
+    Where the distortion is adjusted, the model loses its observations of large features.
+    """
+    if free in DISTORTION:
+        leave_out_large_features(model, work)
     seen = {number: len(image.get_observation_points2D()) for number, image in model.images.items()}
     through = dict.fromkeys(model.cameras, 0)
     for number, image in model.images.items():
@@ -78,6 +86,33 @@ def adjust(model: "pycolmap.Reconstruction", free: Free) -> Part:
     part = Part(frozenset(photos), frozenset(lenses))
     _solve(model, part, free)
     return part
+
+
+def leave_out_large_features(model: "pycolmap.Reconstruction", work: Path) -> None:
+    """Removes observations of large features from the photos that have enough small ones.
+
+    A lens bends the surroundings of a feature, so the centre of a large one is not found where the lens shows
+    the centre. The error grows with the square of the size, and is taken for distortion.
+    """
+    with mapping.opened(work / DATABASE) as database:
+        scales = {number: _scales(database.read_keypoints(number)) for number in sorted(model.images)}
+    for number, image in sorted(model.images.items()):
+        camera = model.cameras[image.camera_id]
+        large = scales[number] > LARGE * np.hypot(camera.width, camera.height)
+        seen = np.array([point.has_point3D() for point in image.points2D], bool)
+        if np.sum(seen & ~large) < ENOUGH * np.sum(seen):
+            continue
+        for feature in np.flatnonzero(seen & large):
+            if image.points2D[feature].has_point3D():  # the point may be gone with another observation
+                model.delete_observation(number, int(feature))
+
+
+def _scales(keypoints: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " n"]:
+    """Returns the scales of features: of places and affine shapes, or of places, scales and orientations."""
+    if keypoints.shape[1] < 6:
+        return keypoints[:, 2]
+    a11, a12, a21, a22 = keypoints[:, 2:6].T
+    return (np.hypot(a11, a21) + np.hypot(a12, a22)) / 2
 
 
 def _solve(model: "pycolmap.Reconstruction", part: Part, free: Free = "poses") -> None:

@@ -135,13 +135,13 @@ def adjusted_cameras(
             return nothing
         control, found = without_points(given, set(numbers) - aside), without_points(given, aside)
         hidden = {e for n in aside for e in features_of(given, n)}
-        part = adjust(found, free)
+        part = adjust(found, free, work)
         for _ in range(0 if free == "poses" else ROUNDS - 1):
             seen = found.compute_num_observations()
             move_back(found, given, part)
             more = loosely_triangulated(found, work, seed)
             found = without_points(more, {n for n in more.points3D if hidden & set(features_of(more, n))})
-            part = adjust(found, free)
+            part = adjust(found, free, work)
             if found.compute_num_observations() < MORE * seen:
                 break
         move_back(found, given, part)

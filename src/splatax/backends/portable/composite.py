@@ -3,6 +3,7 @@
 sorting.py    stable orders from sorts of words
 binning.py    splats -> lists of splats by tile, in rounds of bounded size
 tiles.py      the loop over tiles and lists
+rounds.py     the loop over rounds
 responses.py  the opacity of a splat at pixels: ellipses; slanted.py: splats that are drawn along rays
 blending.py   the blend of a chunk of splats, forward and backward
 
@@ -10,25 +11,22 @@ The forward pass stores no intermediate blends: the backward pass goes over the 
 the final sums.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from splatax.backends.linear import Dims, linear_call
 from splatax.backends.portable import blending
-from splatax.backends.portable.binning import Boxes, Cursor, Grid, Round, bin_round, slabs_of, tile_boxes
-from splatax.backends.portable.responses import Ellipses, Response
-from splatax.backends.portable.slanted import Slanted
-from splatax.backends.portable.tiles import PIXELS, X, Y, corners, to_image, to_tiles, visit
+from splatax.backends.portable.binning import Boxes, Cursor, Grid, Round, bin_round, tile_boxes
+from splatax.backends.portable.rounds import at_start, for_each_round, inside, response_of, table_of
+from splatax.backends.portable.tiles import PIXELS, to_image, to_tiles, visit
 from splatax.splats import Splats
-from splatax.varying import vary_over, varying_axes
 
 
 class Residuals(NamedTuple):
@@ -152,17 +150,11 @@ class Derivative:
 
     def apply(self, residuals: Residuals, tangents: tuple[Array, ...]) -> tuple[Array, ...]:
         """Returns the tangents of the image. `pull` does not affect the image."""
-        splats, channels = residuals.splats, residuals.channels
-
-        def image(*moving):
-            return forward(*moved(splats, moving))[0]
-
-        count = arguments_of(splats)
-        return jax.jvp(image, directions(splats, channels)[:count], tangents[:count])[1]
+        return pushed(residuals.splats, residuals.channels, tangents)
 
     def transpose(self, residuals: Residuals, cotangents: tuple[Array, ...]) -> tuple[Array, ...]:
         """Returns the gradients of what the image depends on, and of `pull`."""
-        return directions(*backward(residuals, cotangents))
+        return directions(*gradient(residuals, cotangents))
 
     def batched(self, size: int, residuals: Dims, tangents: Dims) -> None:
         """Returns None: the map of a batch is made by `jax.vmap`."""
@@ -197,47 +189,82 @@ def curvature_of_blend(
     return moved(jax.tree.map(jnp.zeros_like, splats), changes)
 
 
-def table_of(splats: Splats, channels: Float[Array, "n c"], boxes: Boxes) -> Float[Array, "rows t"]:
-    """Returns shape, opacity and channels of the splats, a row per splat in depth order.
+def pushed(splats: Splats, channels: Float[Array, "n c"], tangents: tuple[Array, ...]) -> tuple[Array, ...]:
+    """Returns the tangents of the image, for tangents of `directions`."""
 
-    An additional channel of ones yields alpha. An additional last row draws nothing.
+    def image(*moving: Array) -> tuple[Array, ...]:
+        return forward(*moved(splats, moving))[0]
+
+    count = arguments_of(splats)
+    return jax.jvp(image, directions(splats, channels)[:count], tuple(tangents[:count]))[1]
+
+
+@jax.custom_jvp
+def gradient(residuals: Residuals, cotangents) -> tuple[Splats, Float[Array, "n c"]]:
+    """Returns what `backward` returns. It can be differentiated again, in both modes."""
+    return backward(residuals, cotangents)
+
+
+@gradient.defjvp
+def _(primals, tangents):
+    (residuals, cotangents), (d_residuals, d_cotangents) = primals, tangents
+    splats, channels = residuals.splats, residuals.channels
+    change = change_of_gradient(
+        (splats, channels, cotangents), (d_residuals.splats, d_residuals.channels, d_cotangents)
+    )
+    return gradient(residuals, cotangents), change
+
+
+def change_of_gradient(point, tangents) -> tuple[Splats, Float[Array, "n c"]]:
+    """Returns the tangents of the gradients of splats and channels.
+
+    Args:
+        point: splats, channels, and the cotangents of the image.
+        tangents: theirs.
     """
-    shape = response_of(splats).columns(splats)
-    columns = [*shape, channels, jnp.ones_like(splats.opacities[:, None])]
-    return jnp.pad(jnp.concatenate(columns, axis=1)[boxes.order], ((0, 1), (0, 0)))
+    splats, channels, cotangents = point
+    d_splats, d_channels, d_cotangents = tangents
+    count = arguments_of(splats)
+    along = (*directions(d_splats, d_channels)[:count], *d_cotangents)
+    found = linear_call(CHANGE, (splats, channels, tuple(cotangents)), along, directions(splats, channels))
+    nothing = jax.tree.map(jnp.zeros_like, splats)
+    changed, d_gradient = moved(nothing, found[:count])
+    return replace(changed, pull=None if splats.pull is None else found[count]), d_gradient
 
 
-def response_of(splats: Splats) -> Response:
-    """Returns how splats respond at pixels."""
-    return Ellipses() if splats.slants is None else Slanted()
+@dataclass(frozen=True)
+class ChangeOfGradient:
+    """The derivative of the gradient J^T v, with the Jacobian J of the image and its cotangents v.
+
+    It is H d + J^T e for tangents d of the splats and e of the cotangents. The Hessian H of <v, image> is
+    symmetric, so the transpose takes w to H w and J w, which forward mode gives too: no loop is transposed.
+    """
+
+    def apply(self, residuals, tangents: tuple[Array, ...]) -> tuple[Array, ...]:
+        """Returns the tangents of the gradients."""
+        splats, channels, cotangents = residuals
+        count = arguments_of(splats)
+
+        def gradients(moving: tuple[Array, ...], cotangents: tuple[Array, ...]) -> tuple[Array, ...]:
+            return directions(*backward(forward(*moved(splats, moving))[1], cotangents))
+
+        point = directions(splats, channels)[:count], cotangents
+        return jax.jvp(gradients, point, (tuple(tangents[:count]), tuple(tangents[count:])))[1]
+
+    def transpose(self, residuals, cotangents: tuple[Array, ...]) -> tuple[Array, ...]:
+        """Returns the cotangents of splats, channels, and cotangents of the image.
+
+        Raises:
+            ValueError: if the splats have a `pull`, which has no second derivative.
+        """
+        splats, channels, of_image = residuals
+        if splats.pull is not None:
+            raise ValueError("the gradient of `pull` cannot be differentiated: set `pull` to None")
+        d_splats, d_channels = curvature_of_blend(splats, channels, cotangents, of_image)
+        return (*directions(d_splats, d_channels), *pushed(splats, channels, cotangents))
+
+    def batched(self, size: int, residuals: Dims, tangents: Dims) -> None:
+        """Returns None: the map of a batch is made by `jax.vmap`."""
 
 
-def inside(grid: Grid, dtype) -> Float[Array, "tiles p"]:
-    """Returns the initial transmittance: 1 inside the image, 0 outside."""
-    corner = corners(jnp.arange(grid.tiles), grid, dtype)
-    x, y = corner[:, :1] + jnp.asarray(X, dtype)[None], corner[:, 1:] + jnp.asarray(Y, dtype)[None]
-    return ((x < grid.width) & (y < grid.height)).astype(dtype)
-
-
-def at_start(cursor: Cursor) -> Bool[Array, ""]:
-    """Returns whether the next round is the first."""
-    return (cursor.slab == 0) & (cursor.slot == 0)
-
-
-def for_each_round(
-    next_round: Callable[[Cursor], Round],
-    body: Callable[[Cursor, Round, Any], Any],
-    carry: Any,
-    boxes: Boxes,
-    grid: Grid,
-) -> Any:
-    """Folds body(cursor, round, carry) over all rounds, nearest splats first."""
-    slabs, _ = slabs_of(boxes.order.shape[0], grid)
-
-    def step(walk):
-        cursor, carry = walk
-        round = next_round(cursor)
-        return round.following, body(cursor, round, carry)
-
-    start = vary_over(varying_axes(boxes, carry), (Cursor.start(), carry))
-    return lax.while_loop(lambda walk: walk[0].slab < slabs, step, start)[1]
+CHANGE = ChangeOfGradient()

@@ -9,8 +9,8 @@ from jaxtyping import Array, Int
 
 from splatax.backends.portable import blending
 from splatax.backends.portable.binning import Cursor, Grid, Round, bin_round, tile_boxes
-from splatax.backends.portable.composite import for_each_round, inside, response_of, table_of
 from splatax.backends.portable.responses import Response
+from splatax.backends.portable.rounds import for_each_round, inside, response_of, table_of
 from splatax.backends.portable.tiles import PIXELS, Chunk, to_image, visit
 from splatax.backends.protocol import Selection
 from splatax.splats import Splats

@@ -71,7 +71,7 @@ class NativePullAndMove:
     def __call__(
         self, gaussians: Gaussians, view: PulledView, moments: Moments, step: Step, rule: Rule, block: int
     ) -> tuple[Gaussians, Moments, Camera]:
-        """Moves all rows, in place where the caller gives the arrays away.
+        """Moves all rows, in place if the caller donates the arrays.
 
         Raises:
             ValueError: if arrays do not fit together.

@@ -127,7 +127,7 @@ def _moving_nodes(path: Path, gltf: dict[str, Any]) -> Nodes:
 
 
 def _meshes_of_splats(gltf: dict[str, Any]) -> set[int]:
-    """Returns the meshes that are made of splats alone. Without a skin, they are parts that stay."""
+    """Returns the meshes that are made of splats only. Without a skin, they are parts that stay."""
     return {
         number
         for number, mesh in enumerate(gltf.get("meshes", ()))

@@ -97,7 +97,7 @@ class Skinned:
 
 
 class Beside(NamedTuple):
-    """What stands beside a skinned mesh in a file and does not move.
+    """Meshes of points in the file of a skinned mesh, which do not follow its skeleton.
 
     Attributes:
         nodes: glTF's objects, which name their mesh by its index here.
@@ -122,9 +122,9 @@ def write_skinned(
         path: file to write.
         skeleton: the joints, which become nodes.
         clips: by name.
-        mesh: what follows them.
+        mesh: the mesh that follows them.
         comments: lines for the file's extras.
-        beside: what stays.
+        beside: the meshes that stay.
     """
     glb = Glb()
     count = len(skeleton)

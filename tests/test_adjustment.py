@@ -13,7 +13,7 @@ from splatax.adjustment import adjusted, evaluate_adjusted, picture_motion
 from splatax.math import rigid
 
 SCENE = random_gaussians(n=60, degree=0, spread=0.8, scale=(0.05, 0.25))
-RENDERER = sx.Renderer(backend="xla")
+RENDERER = sx.Renderer()
 TWIST = jnp.array([0.02, -0.04, 0.02, 0.06, 0.02, -0.05])  # about two pixels
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 
 import splatax as sx
@@ -21,8 +22,8 @@ NORMAL = np.array([0.3, -0.5, -1.0]) / np.linalg.norm([0.3, -0.5, -1.0])
 
 
 def penalty(scene, camera, parts, progress=1.0):
-    kernels = sx.backends.resolve("xla")
-    splats = project(scene, camera, low_pass=sx.AlongRays(), backend="xla")
+    kernels = sx.backends.resolve("auto")
+    splats = project(scene, camera, low_pass=sx.AlongRays(), backend="auto")
     seen = Seen(splats, scene, camera)
     images = geometry.drawn(parts.outputs, geometry.channels(parts.outputs, seen), seen, kernels)
     return parts(images, TrainingView(camera, None, jnp.asarray(progress)))
@@ -39,11 +40,11 @@ def test_distortion_is_the_sum_over_pairs_of_discs():
     facing = plane_of_gaussians(np.array([0.0, 0.0, -1.0]), n=3, half=0.1, sigma=3.0, flat=1e-12, opacity=0.6)
     scene = replace(facing, means=facing.means.at[:, 2].set(jnp.array([0.0, 1.0, 3.0])))
     outputs = {"layers": LAYERS}
-    splats = project(scene, camera, low_pass=sx.AlongRays(), backend="xla")
+    splats = project(scene, camera, low_pass=sx.AlongRays(), backend="auto")
     seen = Seen(splats, scene, camera)
-    drawn = geometry.drawn(outputs, geometry.channels(outputs, seen), seen, sx.backends.resolve("xla"))
+    drawn = geometry.drawn(outputs, geometry.channels(outputs, seen), seen, sx.backends.resolve("auto"))
     at = sx.render(
-        scene, camera, low_pass=sx.AlongRays(), outputs=("contributors",), backend="xla"
+        scene, camera, low_pass=sx.AlongRays(), outputs=("contributors",), backend="auto"
     ).contributors
     weights = np.zeros((7, 9, 3))
     np.put_along_axis(weights, np.asarray(at.indices[..., :3]), np.asarray(at.weights[..., :3]), axis=2)
@@ -95,6 +96,7 @@ def test_a_speck_in_front_of_the_camera_hardly_moves_the_surface_behind_it():
     assert 0 < abs(jax.grad(at)(1.0)) < 0.1
 
 
+@pytest.mark.slow
 def test_trained_discs_are_flat_and_drawn_along_rays_from_their_file(tmp_path):
     dataset = sx.demo_dataset()
     small = dataset.train[:6]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from scenes import camera_at
+from splatax import backends
 from splatax.dataset import View
 from splatax.low_pass import Dilation
 from splatax.training.feed import Batch, batches
@@ -45,7 +46,12 @@ def test_the_low_pass_filter_is_of_pixels_of_the_whole_photo():
     photo = jnp.asarray(view.pixels())
     wider = replace(RECIPE.drawing, low_pass=replace(Dilation(), variance=4 * Dilation().variance))
     losses = [
-        compare(state, Batch(view.camera, photo, divisor=divisor), recipe.on("xla"), jnp.zeros(3))[0]
+        compare(
+            state,
+            Batch(view.camera, photo, divisor=divisor),
+            recipe.on(backends.resolve("auto")),
+            jnp.zeros(3),
+        )[0]
         for divisor, recipe in ((1, RECIPE), (2, replace(RECIPE, drawing=wider)), (2, RECIPE))
     ]
     assert losses[0] == losses[1] != losses[2]

@@ -62,7 +62,7 @@ def test_few_panoramas_are_not_to_be_taken_around_a_subject(dataset):
     around, anywhere = (judged(each, [33.0, 34.0, 35.0]).bad[-1] for each in (few, faces))
     assert (around.what, anywhere.what) == ("There are only 6 photos.", "There are only 4 photos.")
     assert "around the subject" in around.fix
-    assert "from other places" in anywhere.fix
+    assert "from other viewpoints" in anywhere.fix
 
 
 def test_the_faces_of_a_panorama_are_judged_as_one_photo(dataset):

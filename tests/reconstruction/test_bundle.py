@@ -12,8 +12,10 @@ import corner
 from splatax.cameras import from_colmap
 from splatax.cameras.geometry import seen_at
 from splatax.cameras.lenses import FTheta, OpenCV, Pinhole, opencv
+from splatax.io.datasets.colmap_writing import model_of_cameras
 from splatax.math import rigid
-from splatax.reconstruction import bundle, pipeline, triangulation
+from splatax.reconstruction import bundle, mapping, pipeline, triangulation
+from splatax.reconstruction.adjusting import leave_out_large_features
 from splatax.reconstruction.bundle import Adjustment, adjusted_cameras
 from splatax.reconstruction.calibration import Correction, adjustable, alike, corrected, correction_to
 from splatax.reconstruction.similarity import similarity_of_cameras
@@ -136,16 +138,23 @@ def test_lenses_that_were_set_to_zero_come_back_each_for_its_own_photos():
     assert "; 2 lenses, focal lengths times 1.0000 to 1.0000" in str(outcome)
 
 
-@pytest.mark.slow
-def test_a_lens_that_was_set_to_zero_comes_back_to_one_percent(monkeypatch):
-    monkeypatch.setattr(triangulation, "SMALL", 800)  # the features of photos of this size
-    paper = corner.wallpaper()
-    true = [view(i, at, paper, opencv(-0.2, 0.05)) for i, at in enumerate(corner.positions())]
-    zeroed = [replace(v, camera=replace(v.camera, lens=opencv())) for v in true]
-    outcome = adjusted_cameras(zeroed, "poses+distortion")
-    assert outcome.helps
-    # With large features, k2 is 1.2 % off.
-    np.testing.assert_allclose(outcome.views[0].camera.lens.radials[:2], [-0.2, 0.05], rtol=0.01)
+@pytest.mark.parametrize(("small", "left"), [(6, 6), (2, 10)])
+def test_large_features_are_left_out_where_a_photo_has_enough_small_ones(views, tmp_path, small, left):
+    pycolmap = pytest.importorskip("pycolmap")
+    model = model_of_cameras([(v.name, v.camera) for v in views[:2]])
+    places = np.random.default_rng(0).uniform(20, 280, (10, 2))
+    scales = np.where(np.arange(10) < small, 1.0, 5.0)  # a diagonal of 500 pixels allows 2
+    with mapping.opened(tmp_path / triangulation.DATABASE) as database:
+        triangulation.register(database, model)
+        for number, image in model.images.items():
+            keypoints = np.column_stack([places, scales, np.zeros(10)])
+            database.write_keypoints(number, keypoints.astype(np.float32))
+            image.points2D = pycolmap.Point2DList([pycolmap.Point2D(place) for place in places])
+    for i in range(10):
+        track = pycolmap.Track([pycolmap.TrackElement(number, i) for number in model.images])
+        model.add_point3D(np.array([i, 0.0, 6.0]), track)
+    leave_out_large_features(model, tmp_path)
+    assert model.compute_num_observations() == 2 * left
 
 
 def test_each_photo_with_a_lens_of_its_own_gets_its_focal_length(views):

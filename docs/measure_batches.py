@@ -57,9 +57,11 @@ VARIANTS: dict[str, Callable[[int, int, int], Recipe]] = {
     "betas+photos": lambda p, n, s: by_photos(betas(as_now(p, n, s)), p),
     "betas+0.65": lambda p, n, s: betas(as_now(p, n, s, 0.65)),
     "betas+0.8": lambda p, n, s: betas(as_now(p, n, s, 0.8)),
+    "now+0.65": lambda p, n, s: as_now(p, n, s, 0.65),
     "b2+0.65": lambda p, n, s: betas(as_now(p, n, s, 0.65), first=False),
-    "betas+0.8+photos": lambda p, n, s: by_photos(betas(as_now(p, n, s, 0.8)), p),
-    "betas+1": lambda p, n, s: betas(as_now(p, n, s, 1.0)),
+    "b2+0.75": lambda p, n, s: betas(as_now(p, n, s, 0.75), first=False),
+    "b2+0.85": lambda p, n, s: betas(as_now(p, n, s, 0.85), first=False),
+    "b2+1": lambda p, n, s: betas(as_now(p, n, s, 1.0), first=False),
 }
 
 

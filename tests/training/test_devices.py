@@ -158,11 +158,17 @@ def test_devices_that_do_not_divide_the_views_are_refused():
         devices_for(3, jax.devices() * 2)
 
 
-def test_rates_rise_with_the_root_of_the_views():
+def test_larger_steps_are_longer_and_remember_squares_for_as_many_photos():
     recipe = sx.recipes.default(1000, max_gaussians=100)
-    rates = with_views(recipe, 4).optimizer.rates
-    assert rates.means == 2 * recipe.optimizer.rates.means
-    assert rates.settled == recipe.optimizer.rates.settled
+    one, several = recipe.optimizer, with_views(recipe, 8).optimizer
+    assert_allclose(several.rates.means, 8**0.65 * one.rates.means)
+    assert several.rates.settled == one.rates.settled
+    assert_allclose(several.rule.b2, 0.999**8)
+    assert several.rule.b1 == one.rule.b1
+    assert with_views(recipe, 1) == recipe
+
+    sgd = replace(recipe, optimizer=replace(one, rule=partial(optax.sgd, 1.0)))
+    assert with_views(sgd, 8).optimizer.rule is sgd.optimizer.rule
 
 
 def test_photos_with_and_without_alpha_share_a_step():

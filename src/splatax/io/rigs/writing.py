@@ -97,7 +97,7 @@ class Skinned:
 
 
 class Beside(NamedTuple):
-    """What stands beside a skinned mesh in a file and does not move.
+    """The parts beside a skinned mesh in a file, which do not move.
 
     Attributes:
         nodes: glTF's objects, which name their mesh by its index here.

@@ -129,6 +129,30 @@ def test_what_does_not_fit_is_refused_with_what_does(model, data, scene):
         twins.attached(scene, frames)
 
 
+@pytest.mark.slow
+def test_a_small_part_of_a_coarse_twin_is_not_turned_away_from_its_pose(model, data, promotion):
+    """The hand is 5 pixels wide, and the search begins 5 cm and 12 degrees beside its pose."""
+    data.qpos[:] = 0.3, 0.35, -0.5, 0.4
+    mujoco.mj_forward(model, data)
+    coarse, fine = (
+        twins.frames_of(model, data, (whole := drawn_twin(model, count)).names).place(whole)
+        for count in (800, 5000)
+    )
+    camera = twins.camera_of(model, data, "front", 64, 64)
+    seen = sx.sensors.observe(fine, camera, {"rgb": Color(), "depth": Depth()})
+    truth, rng = coarse["hand"].pose, np.random.default_rng(2)
+    axis, way = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
+    middle = np.median(np.asarray(coarse["hand"].gaussians.means), axis=0)
+    turn = np.asarray(Similarity.from_twist(jnp.asarray([*np.radians(12) * axis, 0, 0, 0])).rotation)
+    rotation = turn @ np.asarray(truth.rotation)
+    center = np.asarray(truth.rotation) @ middle + np.asarray(truth.translation)
+    wrong = Similarity(rotation, center + 0.05 * way - rotation @ middle)
+    frame = twins.RgbdFrame(camera, seen["rgb"], seen["depth"])
+    found = twins.located(coarse.posed({"hand": wrong}), "hand", frame, twins.LocationSearch(steps=120))
+    cosine = (np.trace(np.asarray(found.rotation).T @ np.asarray(truth.rotation)) - 1) / 2
+    assert np.degrees(np.arccos(min(cosine, 1))) < 12  # 22 if it is turned from the first step
+
+
 def test_the_pose_of_a_part_is_found_in_a_frame_of_colour_and_depth(model, data, promotion):
     scene = twins.frames_of(model, data, (whole := drawn_twin(model, 800)).names).place(whole)
     camera = twins.camera_of(model, data, "front", 48, 48)
@@ -147,3 +171,5 @@ def test_the_pose_of_a_part_is_found_in_a_frame_of_colour_and_depth(model, data,
         twins.located(scene, "fore", twins.RgbdFrame(camera, seen["rgb"][:4], seen["depth"][:4]))
     with pytest.raises(sx.InputError, match="Give at least 1"):
         twins.located(scene, "fore", frame, twins.LocationSearch(steps=0))
+    with pytest.raises(sx.InputError, match="Give a number from 0 to 1"):
+        twins.located(scene, "fore", frame, twins.LocationSearch(shifting=60))

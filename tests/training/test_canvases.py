@@ -192,7 +192,7 @@ def test_a_capture_of_fifty_sizes_compiles_at_most_four_programs(stages):
     dataset = of_many_sizes(50)
     sizes = {(view.camera.width, view.camera.height) for view in dataset.train}
     assert len(sizes) == len(dataset.train) > 40
-    recipe = replace(RECIPE, resolution=Resolution(stages)).on(sx.backends.resolve("xla"))
+    recipe = replace(RECIPE, resolution=Resolution(stages)).on(sx.backends.resolve("auto"))
     stepper = stepper_for(recipe, None)
     state = first_state(jax.tree.map(jnp.array, TRUTH), recipe, 1.0, len(dataset.train))
     feed = stepper.feed(dataset.train, recipe, 0, schedule_of(recipe), np.inf)
@@ -223,7 +223,7 @@ def test_steps_on_several_views_take_photos_of_different_sizes():
 def test_a_step_on_several_canvases_learns_the_same_on_each_number_of_views():
     """Two views of a step on canvases give the mean of their gradients on their own sizes."""
     dataset = of_many_sizes(12)
-    recipe = replace(with_views(RECIPE, 2), density=Classic()).on(sx.backends.resolve("xla"))
+    recipe = replace(with_views(RECIPE, 2), density=Classic()).on(sx.backends.resolve("auto"))
     found = []
     for canvases in (None, [CANVAS] * len(dataset.train)):
         same = [view_of(v.name, camera_of((40, 32), at=0.1 * i), seed=i) for i, v in enumerate(dataset.train)]

@@ -93,8 +93,8 @@ def test_room_grows_with_pixels_and_with_the_root_of_the_number_of_photos():
         views = tuple(sx.View(str(number), camera, lambda: None) for number in range(count))
         return sx.Dataset(views, (), sx.PointCloud(*[np.zeros((0, 3), np.float32)] * 2))
 
-    assert room_for(photos(1, (400, 200))) == 20_000
-    assert_allclose(room_for(photos(9, (400, 200))), 60_000, atol=1)
+    assert room_for(photos(1, (400, 200))) == 10_000
+    assert_allclose(room_for(photos(9, (400, 200))), 30_000, atol=1)
     assert room_for(photos(100, (4000, 3000))) == 1_000_000
     assert room_for(photos(5000, (4000, 3000))) == 5_000_000
     assert steps_for(photos(1000, (400, 200))) == 30_000

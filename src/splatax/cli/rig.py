@@ -50,7 +50,6 @@ from splatax.training.rigged import (
 RIGGED, POSES = "rigged.glb", "poses.json"
 Refine = Literal[*REFINED]  # type: ignore[valid-type]
 COMMAND = "rig"
-BODY = 0.5  # of the Gaussians of a scene: a body fills only a part of its photos
 MAY_CHANGE = {"checkpoint_every", "checkpoint_steps"}  # on resuming
 LOWEST = {"steps": 1, "max_gaussians": 1, "seed": 0, "checkpoint_every": 0, "checkpoint_steps": 0}
 
@@ -158,7 +157,7 @@ class RigCommand:
         for view in dataset.test:  # those of training are checked as they are read
             mask_of(view)
         posing = posing_of(settings, body, dataset)
-        most = settings.max_gaussians or round(BODY * room_for(dataset))
+        most = settings.max_gaussians or room_for(dataset)
         recipe = recipe_for(settings.steps, most, settings.seed)
         behind = settings.background or dataset.background
         if behind:

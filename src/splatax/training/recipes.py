@@ -231,7 +231,7 @@ def rates_for(steps: int) -> LearningRates:
     )
 
 
-PIXELS_PER_GAUSSIAN = 4  # of one photo; chosen by docs/measure_long.py
+PIXELS_PER_GAUSSIAN = 8  # of one photo
 MOST = 1_000_000  # Gaussians of a capture of up to `MANY` photos
 MANY = 1_000  # photos
 EPOCHS = 30  # times that each photo of a larger capture is seen, where steps are not given
@@ -245,7 +245,7 @@ def room_for(dataset: Dataset) -> int:
 def detail_of(dataset: Dataset) -> int:
     """Returns the number of Gaussians that a capture has detail for.
 
-    One photo has detail for one Gaussian per 4 pixels. More photos show more, but in large part the
+    One photo has detail for one Gaussian per 8 pixels. More photos show more, but in large part the
     same again: detail is assumed to grow with the square root of their number. The faces of a 360-degree
     photo show different things, and count as one photo.
     """

@@ -143,7 +143,9 @@ def test_a_limit_of_the_whole_command_leaves_time_for_the_results(tmp_path, caps
     both = refused(capsys, "train", "capture", "--within", "9s", "--budget", "9s")
     assert "--within: limits the whole command, --budget the training" in both
     assert "--within: plans" in refused(capsys, "train", "capture", "--within", "9s", "--steps", 4)
-    assert "--within: a run that" in refused(capsys, "train", "--resume", "runs/x", "--within", "9s")
+    assert "--within: a resumed or repeated run" in refused(
+        capsys, "train", "--resume", "runs/x", "--within", "9s"
+    )
 
 
 def test_held_out_photos_can_be_chosen_and_eval_keeps_to_them(tmp_path, capsys):

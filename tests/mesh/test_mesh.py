@@ -215,7 +215,7 @@ def test_other_suffixes_and_sizes_are_refused(ball, tmp_path, views):
         mesh.save(tmp_path / "ball.stl", ball)
     with pytest.raises(InputError, match="width of a voxel must be above 0"):
         mesh.extract(views, -1.0)
-    with pytest.raises(InputError, match="at least 4 faces"):
+    with pytest.raises(InputError, match="number of faces must be at least 4"):
         mesh.extract(views, 0.1, faces=3)
 
 

@@ -24,7 +24,7 @@ NORMAL = np.array([0.3, -0.5, -1.0]) / np.linalg.norm([0.3, -0.5, -1.0])
 def penalty(scene, camera, parts, progress=1.0):
     kernels = sx.backends.resolve("auto")
     splats = project(scene, camera, low_pass=sx.AlongRays(), backend="auto")
-    seen = Seen(splats, scene, camera)
+    seen = Seen(splats, scene, camera, kernels=sx.backends.resolve("auto"))
     images = geometry.drawn(parts.outputs, geometry.channels(parts.outputs, seen), seen, kernels)
     return parts(images, TrainingView(camera, None, jnp.asarray(progress)))
 
@@ -41,7 +41,7 @@ def test_distortion_is_the_sum_over_pairs_of_discs():
     scene = replace(facing, means=facing.means.at[:, 2].set(jnp.array([0.0, 1.0, 3.0])))
     outputs = {"layers": LAYERS}
     splats = project(scene, camera, low_pass=sx.AlongRays(), backend="auto")
-    seen = Seen(splats, scene, camera)
+    seen = Seen(splats, scene, camera, kernels=sx.backends.resolve("auto"))
     drawn = geometry.drawn(outputs, geometry.channels(outputs, seen), seen, sx.backends.resolve("auto"))
     at = sx.render(
         scene, camera, low_pass=sx.AlongRays(), outputs=("contributors",), backend="auto"

@@ -132,8 +132,13 @@ def test_a_step_adds_the_penalty_and_its_gradient_to_those_of_the_photo():
 
     def step(geometry):
         chosen = replace(recipe, objective=replace(recipe.objective, geometry=geometry))
-        loss, _, gradients = jax.jit(lambda state: compare(state, batch, chosen, jnp.zeros(3)))(state)
-        return loss, gradients.gaussians
+
+        @jax.jit
+        def compared(state):
+            found = compare(state, batch, chosen, jnp.zeros(3))
+            return found.loss, found.pull_back(found.d_shown)[0]
+
+        return compared(state)
 
     plain, without = step(recipe.objective.geometry)
     total, found = step(SURFACES)

@@ -172,4 +172,4 @@ def test_the_pose_of_a_part_is_found_in_a_frame_of_colour_and_depth(model, data,
     with pytest.raises(sx.InputError, match="Give at least 1"):
         twins.located(scene, "fore", frame, twins.LocationSearch(steps=0))
     with pytest.raises(sx.InputError, match="Give a number from 0 to 1"):
-        twins.located(scene, "fore", frame, twins.LocationSearch(shifting=60))
+        twins.located(scene, "fore", frame, twins.LocationSearch(shifting=60.0))

@@ -73,6 +73,7 @@ def drawn_alone(splats, i):
     return composite(one, one.colors, backend="reference")[1]
 
 
+@pytest.mark.slow
 def test_alpha_is_that_of_the_densest_point_in_front_of_the_camera(camera):
     gaussians = scene()
     splats = project(gaussians, camera, low_pass=sx.AlongRays(BLUR), backend="reference")
@@ -209,6 +210,7 @@ def test_discs_seen_edge_on_are_drawn_as_blurs_and_have_finite_gradients():
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
 
 
+@pytest.mark.slow
 def test_other_lenses_and_moving_cameras_are_followed_to_first_order(x64):
     camera = camera_at((0.3, -0.2, -3.0), size=(120, 90), focal=140.0, dtype=np.float64)
     twist = jnp.array([0.02, -0.03, 0.05, 0.06, 0.02, -0.04])

@@ -185,6 +185,7 @@ DEGENERATE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", DEGENERATE)
 @pytest.mark.parametrize("low_pass", LOW_PASSES)
 def test_image_and_gradients_are_finite_for_degenerate_gaussians(case, low_pass):

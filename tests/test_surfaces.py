@@ -44,6 +44,7 @@ def depth_of_plane(camera):
     return jax.jit(jax.vmap(jax.vmap(one)))(pixel_centers(camera.width, camera.height, camera.fx.dtype))
 
 
+@pytest.mark.slow
 def test_flat_gaussians_have_the_plane_that_they_lie_on(camera):
     gaussians = plane_of_gaussians(NORMAL, n=50, half=0.8, dtype=np.float64)
     splats = project(gaussians, camera, backend="reference")

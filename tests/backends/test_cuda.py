@@ -59,6 +59,7 @@ def same_bits(compute, other_order):
 # --- the order of threads ---
 
 
+@pytest.mark.slow
 def test_the_rasterizer_gives_the_same_bits_in_any_order_of_threads(other_order):
     same_bits(lambda: image_and_gradient(watched(SCENE), emulated.kernels()), other_order)
 

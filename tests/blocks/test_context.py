@@ -63,6 +63,7 @@ def recipe(steps=4, build=classic, **options):
     return replace(made, initialization=FromBlock("plan", 0), sh=ShSchedule(degree=0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("low_pass", "surfaces"), [(None, True), (AlongRays(), False)])
 def test_gradients_in_context_are_those_of_the_whole_scene(low_pass, surfaces):
     """The context is a part of the scene whose own gradients nobody asks for."""

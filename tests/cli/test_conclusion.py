@@ -81,6 +81,7 @@ def full_for(monkeypatch, *names):
     return lambda: monkeypatch.setattr(os, "replace", replace)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["scene.ply", "metrics.json", "report.html"])
 def test_a_full_disk_after_the_last_step_loses_nothing(name, trained, capture, tmp_path, monkeypatch, capsys):
     run = tmp_path / "run"

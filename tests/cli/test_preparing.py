@@ -196,6 +196,7 @@ def adjusted_to(monkeypatch, helps):
     monkeypatch.setattr(preparing.bundle, "adjusted_cameras", found)
 
 
+@pytest.mark.slow
 def test_adjusted_cameras_are_trained_on_said_and_kept_for_repeating(tmp_path, monkeypatch, capsys):
     adjusted_to(monkeypatch, helps=True)
     capture, run = write_capture(tmp_path / "capture"), tmp_path / "run"

@@ -65,6 +65,7 @@ def stopping_at(step):
     return optimize
 
 
+@pytest.mark.slow
 def test_a_run_that_was_stopped_again_and_again_ends_with_the_same_bytes(capsys, arm, tmp_path, monkeypatch):
     def start(out):
         files = ["--skeleton", f"{arm}/body.glb", "--poses", f"{arm}/poses.json", "--out", str(out)]

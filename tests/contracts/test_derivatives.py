@@ -95,6 +95,7 @@ def test_the_two_modes_are_transposes_of_each_other(backend):
     assert_allclose(dot(pushed(backend), weights), dot(direction, pulled[0]), rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_the_jacobian_in_a_pose_is_the_same_in_both_modes(backend):
     camera = camera_at((0.1, 0.3, -4), size=(8, 6), focal=7.0)  # each of its numbers is a row of reverse mode
 
@@ -108,6 +109,7 @@ def test_the_jacobian_in_a_pose_is_the_same_in_both_modes(backend):
     assert_same(forward, backward, 1e-3)
 
 
+@pytest.mark.slow
 def test_forward_mode_composes_with_jit_vmap_scan_and_checkpoint(backend):
     """All at once: a program for each would say no more."""
     direction = like(GAUSSIANS)
@@ -132,6 +134,7 @@ def gauss_newton_product(backend):
     return jax.jit(product)(like(POINT))
 
 
+@pytest.mark.slow
 def test_gauss_newton_products_equal_the_reference(fast):
     assert_same(gauss_newton_product(fast), gauss_newton_product("reference"), 1e-3)
 
@@ -181,6 +184,7 @@ def test_the_gradient_of_a_jvp_of_a_batch_is_that_of_its_elements(backend):
     assert_same(total, jax.tree.map(lambda *leaves: sum(leaves), *each), 2e-3)
 
 
+@pytest.mark.slow
 def test_the_gradient_of_a_scene_that_cameras_share_is_the_sum_of_theirs(backend):
     def total(gaussians, cameras):
         return jnp.sum(jax.vmap(lambda camera: loss_of(backend)((gaussians, camera)))(cameras))
@@ -192,6 +196,7 @@ def test_the_gradient_of_a_scene_that_cameras_share_is_the_sum_of_theirs(backend
     assert_same(by_camera, jax.tree.map(lambda *leaves: jnp.stack(leaves), *(camera for _, camera in each)))
 
 
+@pytest.mark.slow
 def test_batches_of_batches_and_of_scenes(backend):
     scenes = [random_gaussians(seed, n=20, degree=1) for seed in range(2)]
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *scenes)

@@ -223,6 +223,7 @@ def refused_or_read(path, contents):
     return gaussians
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*extensions are not read")
 def test_a_file_cut_anywhere_is_refused(sound):
     path, contents = sound
@@ -236,6 +237,7 @@ def test_a_file_cut_anywhere_is_refused(sound):
             assert refused_or_read(path, contents[:cut]) is None, f"the first {cut} of {len(contents)} bytes"
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*extensions are not read")
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize("seed", range(3))
@@ -252,6 +254,7 @@ def test_flipped_bytes_are_refused_or_read_as_something(sound, seed):
         refused_or_read(path, bytes(damaged))
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*extensions are not read")
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_counts_of_billions_ask_for_no_memory(sound):

@@ -60,6 +60,7 @@ def directions(lens, n=300, widest=1.3):
     return found[np.asarray(jax.jit(jax.vmap(lens.sees))(jnp.asarray(3 * found)))][:n]
 
 
+@pytest.mark.slow
 def test_unproject_inverts_project(x64, lens):
     wide = 2.5 if isinstance(lens, lenses.Equirectangular | lenses.Fisheye) else 1.0
     rng = np.random.default_rng(1)
@@ -75,6 +76,7 @@ def test_unproject_inverts_project(x64, lens):
     assert_allclose(found, points, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_inverse_has_the_derivatives_of_the_inverse(x64, lens):
     """With place, depth and coefficients: the derivative of project(unproject(x)) is that of x."""
     place, depth = jnp.array([0.31, -0.17]), jnp.asarray(2.0)
@@ -88,6 +90,7 @@ def test_the_inverse_has_the_derivatives_of_the_inverse(x64, lens):
         assert_allclose(derivative, 0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_every_coefficient_moves_the_image_and_its_jacobian_as_finite_differences_say(x64, lens):
     """Projection takes from a lens where it sees a point, and the Jacobian there."""
     points = jnp.asarray(directions(lens, n=5, widest=1.0) * 3)
@@ -171,6 +174,7 @@ def wide_camera(lens, motion=None, size=(64, 48)):
     return replace(camera, lens=lens, motion=motion)
 
 
+@pytest.mark.slow
 def test_ewa_tends_to_the_unscented_transform_as_gaussians_shrink(x64, lens):
     camera = wide_camera(lens, MOTIONS["rolling" if isinstance(lens, lenses.Pinhole) else "still"])
     differences = []
@@ -320,6 +324,7 @@ def test_a_rolling_shutter_sees_each_row_from_its_own_pose(x64):
         assert_allclose(pose.to_pixel(pose.to_camera(point)), pixel, atol=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "motion"),
     # Without motion, the poses of all rows are one: a matter of rays that meet and of parallel ones.

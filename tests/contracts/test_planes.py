@@ -94,6 +94,7 @@ def test_native_planes_are_those_of_the_formulas(native, lens, low_pass):
         assert_allclose(*relative(a, b, shown), atol=2e-4, err_msg=name)
 
 
+@pytest.mark.slow
 @BLURS
 def test_the_formulas_have_the_derivatives_of_finite_differences(x64, low_pass):
     rows = rows_of(low_pass, np.float64)
@@ -162,6 +163,7 @@ def test_a_row_has_the_same_bits_alone_in_a_batch_and_on_one_thread(native):
         assert_array_equal(a, b[0])
 
 
+@pytest.mark.slow
 def test_second_derivatives_are_those_of_the_formulas(native):
     rows = rows_of(sx.Dilation())
     directions = like(rows, 3)

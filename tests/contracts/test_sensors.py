@@ -76,6 +76,7 @@ def measured(request):
     return camera, {name: np.asarray(value) for name, value in found.items()}, TOLERANCE[request.param]
 
 
+@pytest.mark.slow
 def test_depth_along_the_ray_and_the_axis_points_and_labels_are_those_of_the_plane(measured):
     camera, found, rtol = measured
     points, distance = meeting(camera)

@@ -23,6 +23,7 @@ def alone(surface, sky=None):
     return Scene("", (surface,), LIGHT, Orbit((0, 0, 0), 4.0, elevations=(0.0,)), sky=sky)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_a_scene_by_name_is_a_capture_with_points_that_its_cameras_see(name):
     dataset = sx.demo_dataset(photos=3, width=SMALL[0], height=SMALL[1], scene=name)
@@ -37,6 +38,7 @@ def test_a_scene_by_name_is_a_capture_with_points_that_its_cameras_see(name):
     assert seen.all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_photos_are_neither_black_nor_white_nor_flat(name):
     scene = SCENES[name]
@@ -104,6 +106,7 @@ def test_a_mirror_shows_the_sky_above_it():
     assert_allclose(centre.color[0], [0, 0, 1], atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_no_two_photos_are_taken_from_one_place(name):
     positions = np.stack([np.asarray(camera.position) for camera in SCENES[name].cameras()])

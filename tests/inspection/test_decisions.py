@@ -40,6 +40,7 @@ def changed(dataset, folder, changes):
     return replace(dataset, survey=replace(dataset.survey, files=files))
 
 
+@pytest.mark.slow
 def test_even_photos_need_nothing(plain):
     found = look_first(plain)
     assert found.seen == PHOTOS

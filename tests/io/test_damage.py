@@ -256,6 +256,7 @@ def test_attributes_of_a_glb_have_one_count(tmp_path, attribute, own, others):
     refuse(tmp_path / "a.glb", wrong)
 
 
+@pytest.mark.slow
 def test_a_glb_that_repeats_its_splats_until_no_memory_is_left(tmp_path):
     glb(tmp_path / "a.glb", {"*": 2000}, repeat=5)
     assert len(sx.load(tmp_path / "a.glb")) == 10_000

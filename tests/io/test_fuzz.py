@@ -169,6 +169,7 @@ def damaged_splats(rng, contents, others, suffix):
     return damaged(rng, contents, others)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", SPLATS)
 def test_splat_files(suffix, tmp_path):
     (tmp_path / "seeds").mkdir()

@@ -28,6 +28,7 @@ def meta_of(path):
     return json.loads(path.read_text())
 
 
+@pytest.mark.slow
 def test_each_level_is_whole_and_each_cell_holds_its_own_gaussians(tmp_path, small_units):
     path = tmp_path / "lod-meta.json"
     levels = editing.levels_of(SCENE, 3)

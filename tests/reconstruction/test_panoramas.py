@@ -122,6 +122,7 @@ def spread(places):
     return apart / apart.mean()
 
 
+@pytest.mark.slow
 def test_panoramas_are_placed_where_they_were_taken_and_kept_as_they_are(photos, outcome):
     out, result = outcome
     dataset = sx.load_dataset(out)
@@ -136,6 +137,7 @@ def test_panoramas_are_placed_where_they_were_taken_and_kept_as_they_are(photos,
         assert (out / "images" / name).read_bytes() == (photos / name).read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["outcome", "in_faces"])
 def test_features_of_faces_are_observations_of_the_written_photos(kind, request):
     outcome = request.getfixturevalue(kind)

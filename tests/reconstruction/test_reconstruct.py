@@ -130,6 +130,7 @@ def test_what_was_done_before_an_interruption_is_kept(photos, tmp_path, outcome,
     assert again.points == outcome[1].points  # the same seed, the same order of photos
 
 
+@pytest.mark.slow
 def test_poses_that_were_found_are_kept_until_there_are_more_matches(photos, tmp_path, outcome, monkeypatch):
     few = Sequential(overlap=2, doublings=0, neighbours=1)
     for out in (tmp_path / "same", tmp_path / "more"):
@@ -150,6 +151,7 @@ def test_half_a_reconstruction_is_not_gone_on_with_otherwise(photos, tmp_path):
         reconstruct(photos, tmp_path, seed=1)
 
 
+@pytest.mark.slow
 def test_photos_that_came_after_an_interruption_are_used(photos, tmp_path, outcome):
     some = shutil.copytree(photos, tmp_path / "photos")
     (some / "wall 0.jpg").unlink()  # so that all others get another number

@@ -102,6 +102,7 @@ def test_a_body_keeps_the_colors_of_its_vertices(tmp_path):
     np.testing.assert_allclose(read_body(tmp_path / "body.glb").surface.colors, colors, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turned", [True, False], ids=["the frame of glTF", "a frame of its own"])
 def test_a_rigged_scene_moves_alike_after_saving_and_loading(tmp_path, turned):
     gaussians, rig = blended(n=20, degree=1)

@@ -76,6 +76,7 @@ def test_opposite_quaternions_of_one_rotation_do_not_cancel():
         np.testing.assert_allclose(length, np.linalg.norm(gaussians.sh[:, 1:]), rtol=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["pose", "weights", "gaussians"])
 def test_derivatives_agree_with_finite_differences(what, x64):
     gaussians, rig = blended(n=6, degree=1)

@@ -122,6 +122,7 @@ def test_a_view_on_a_canvas_has_the_splats_of_the_view(lens, backend):
         assert_allclose(one[drawn], other[drawn], rtol=1e-3, atol=1e-4)  # kernels round differently
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("frame", "backend"),
     [  # plain JAX has one formula for frames of any size; kernels have tiles and borders
@@ -152,6 +153,7 @@ def test_the_loss_on_a_canvas_is_that_of_the_pictures_without_it(frame, backend)
     assert_allclose(found_slope / fills, slope, atol=2e-6 * float(jnp.max(jnp.abs(slope))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("lens", "masked"), [(None, True), (opencv(-0.1, 0.02), False)])
 def test_a_step_on_a_canvas_is_the_step_on_the_photo(lens, masked):
     view = view_of("a", camera_of((40, 32), lens), masked)
@@ -239,6 +241,7 @@ def test_a_step_on_several_canvases_learns_the_same_on_each_number_of_views():
         assert_allclose(one, other, rtol=1e-3, atol=1e-5 * scale + 1e-12)
 
 
+@pytest.mark.slow
 def test_evaluation_of_many_sizes_compiles_few_programs_and_scores_the_same():
     views = of_many_sizes(30).train
     sizes = len({(view.camera.width, view.camera.height) for view in views})

@@ -140,6 +140,7 @@ def test_a_file_that_was_cut_short_is_refused(saved, share):
         checkpoint.read(path)
 
 
+@pytest.mark.slow
 def test_a_flipped_bit_is_refused_or_changes_nothing(saved):
     path, _ = saved
     contents, rng = path.read_bytes(), np.random.default_rng(0)

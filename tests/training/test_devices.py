@@ -77,6 +77,7 @@ def test_all_parts_of_a_recipe_together_have_the_same_bits_on_1_and_8_devices():
     assert int(found[1][0]) > 80
 
 
+@pytest.mark.slow
 @needs_cpu
 def test_a_run_resumes_on_another_number_of_devices_with_the_same_bits():
     resumed = trained("default", "--resume", "--devices", "2", "8")

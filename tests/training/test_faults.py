@@ -111,6 +111,7 @@ def named(fault):
     return fault.__name__
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("recipe", ["default", "classic"])  # all parts of the others but noise and discs
 @pytest.mark.parametrize("fault", FAULTS, ids=named)
 def test_training_stays_finite(fault, recipe):

@@ -18,6 +18,7 @@ def test_a_run_that_keeps_its_steps_follows_its_recipe():
     assert [step for step in range(1, 401) if schedule.refinement(step, RECIPE.density)] == due
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("total", [173, 200, 399, 401, 950])
 def test_no_refinement_is_lost_or_made_twice_in_a_run_of_another_length(total):
     schedule = Schedule(400, total, RECIPE.resolution)
@@ -32,6 +33,7 @@ def test_photos_get_full_size_halfway_through_a_run_that_was_shortened():
     assert sizes == [2] * 110 + [1] * 110
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("total", [24, 40, 200])
 def test_bands_of_harmonics_open_at_their_fraction_of_a_run_of_any_length(total):
     dataset = sx.demo_dataset(photos=2, width=48, height=36)

@@ -35,6 +35,7 @@ def finite(gaussians):
     return not broken(gaussians).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PRESETS)
 def test_a_step_without_a_finite_loss_changes_no_gaussian_and_is_counted(name):
     dataset = with_a_black_photo(capture())
@@ -53,6 +54,7 @@ def test_a_step_without_a_finite_loss_changes_no_gaussian_and_is_counted(name):
     assert finite(progress.gaussians)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "field"),
     # What is not finite is found by the step, which all recipes share; density control takes it away.

@@ -75,6 +75,7 @@ def test_a_camera_of_the_model_projects_a_point_to_the_pixel_where_mujoco_has_it
     assert_allclose(camera.to_pixel(jnp.asarray(point, jnp.float32)), expected, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_parts_of_a_scan_move_with_the_bodies_that_they_were_photographed_on(model, data, scene):
     """A scan in units of 0.5 m, in a frame of its own, taken while the arm was bent."""
     frames = twins.frames_of(model, data, scene.names)
@@ -153,6 +154,7 @@ def test_a_small_part_of_a_coarse_twin_is_not_turned_away_from_its_pose(model, d
     assert np.degrees(np.arccos(min(cosine, 1))) < 12  # 22 if it is turned from the first step
 
 
+@pytest.mark.slow
 def test_the_pose_of_a_part_is_found_in_a_frame_of_colour_and_depth(model, data, promotion):
     scene = twins.frames_of(model, data, (whole := drawn_twin(model, 800)).names).place(whole)
     camera = twins.camera_of(model, data, "front", 48, 48)

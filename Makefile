@@ -25,9 +25,9 @@ lint: $(READY)
 	$(BIN)/mypy
 
 # Most of the time is spent in XLA's compiler, whose memory accesses are checked too. It therefore runs with few
-# optimizations, and sanitizers keep short stack traces and a small quarantine. The AVX2 build is not tested, because it
-# is the baseline with wider vectors, and only one low-pass filter is, because native code gets it as a number. Without a
-# number of jobs, --parallel would compile all files at once.
+# optimizations, and sanitizers keep short stack traces and a small quarantine. The AVX2 build is tested only where it is
+# the best one, because it is the baseline with wider vectors, and only one low-pass filter is, because native code gets
+# it as a number. Without a number of jobs, --parallel would compile all files at once.
 SANITIZED := build/sanitize
 HEADERS := build/headers
 JAXLIB := $(shell sed -n 's/.*"\(jaxlib==[^"]*\)".*/\1/p' pyproject.toml)

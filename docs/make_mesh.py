@@ -4,9 +4,9 @@
     splatax train RUN/capture --out RUN2 --geometry
     python docs/make_mesh.py SCENE RUN/capture RUN RUN2
 
-The script prints rows of the tables of docs/mesh.md: for each run, the mesh of the depth that `auto` takes and of
-the other depth of surfaces. For the scene "still-life" it also writes docs/images/mesh.jpg: a held-out photo with
-its true normals above, and the mesh of each run with its normals below.
+The script prints rows of the tables of docs/mesh.md: for each run, the meshes of the depth that `auto` takes
+and of the depths of planes. For the scene "still-life" it also writes docs/images/mesh.jpg: a held-out photo
+with its true normals above, and the mesh of each run with its normals below.
 """
 
 import sys

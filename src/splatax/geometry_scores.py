@@ -42,7 +42,7 @@ class DepthError(NamedTuple):
         median: median of the absolute error, world units.
         bias: median of the error, world units; positive where the scene is too far.
         relative: median of the absolute error divided by the depth.
-        capped: mean of the absolute error divided by the depth, of which each depth counts at most 5 %. Unlike
+        capped: mean of the absolute error divided by the depth, where each depth counts at most 5 %. Unlike
             the medians, it sees thin parts, which are a small fraction of the depths.
     """
 
@@ -224,8 +224,8 @@ def depth_error(found: Float[np.ndarray, " n"], expected: Float[np.ndarray, " n"
         return DepthError(np.nan, np.nan, np.nan, np.nan)
     error = found[known].astype(np.float64) - expected[known]
     relative = np.abs(error) / expected[known]
-    medians = (float(np.median(values)) for values in (np.abs(error), error, relative))
-    return DepthError(*medians, float(np.mean(np.minimum(relative, CAP))))
+    median, bias, middle = (float(np.median(values)) for values in (np.abs(error), error, relative))
+    return DepthError(median, bias, middle, float(np.mean(np.minimum(relative, CAP))))
 
 
 def _mean(values: Iterable[float]) -> float:

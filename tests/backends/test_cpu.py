@@ -87,14 +87,14 @@ def test_hulls_hold_the_pixels_of_splats_along_rays_and_little_more(flat):
     centers, roots, extents = slanted.hulls_of(splats)
     areas = []
     for i in np.flatnonzero(np.asarray(splats.extents[:, 0]) > 0):
-        q = squared_distances(
-            pixels - splats.means2d[i][None],
-            *(jnp.broadcast_to(rows[i], (len(pixels), rows.shape[1])) for rows in (splats.sqrt_conics, splats.slants)),
-        )
+        shapes = (rows[i][None] for rows in (splats.sqrt_conics, splats.slants))
+        shapes = (jnp.broadcast_to(row, (len(pixels), row.shape[1])) for row in shapes)
+        q = squared_distances(pixels - splats.means2d[i][None], *shapes)
         drawn = np.asarray(splats.opacities[i] * jnp.exp(-q / 2)) >= MIN_ALPHA
         dx, dy = np.asarray(pixels - centers[i][None]).T
         u, v, w = np.asarray(roots[i])
-        inside = (u * dx + v * dy) ** 2 + (w * dy) ** 2 <= 2 * np.log(float(splats.opacities[i]) / MIN_ALPHA) * 1.001
+        reach = 2 * np.log(float(splats.opacities[i]) / MIN_ALPHA)
+        inside = (u * dx + v * dy) ** 2 + (w * dy) ** 2 <= 1.001 * reach
         inside &= (np.abs(np.stack([dx, dy])) <= np.asarray(extents[i])[:, None] * 1.001).all(axis=0)
         assert (inside | ~drawn).all()
         areas.append((drawn.sum(), inside.sum()))

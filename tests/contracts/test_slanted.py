@@ -27,7 +27,7 @@ def view(flat, n=150, dtype=np.float32):
 
 @partial(jax.jit, static_argnames="backend")
 def derivatives(splats, cotangent, backend, channels=None):
-    """The image and its gradients; with colours, which are the channels unless others are given, `pull` too."""
+    """The image and its gradients. The channels are the colours, with `pull`, unless others are given."""
 
     def loss(splats, channels):
         image, alpha = composite(splats, channels, backend=backend)

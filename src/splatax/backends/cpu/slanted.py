@@ -139,9 +139,7 @@ def _pull_back(residuals, cotangents, build: Build, max_pairs: int):
         max_pairs=np.int64(max_pairs),
         pulled=np.int64(splats.pull is not None),
     )
-    total, k, slack, e, d_channels, pulls = jnp.split(
-        found, [1, 6, 12, MOMENTS, MOMENTS + width], axis=1
-    )
+    total, k, slack, e, d_channels, pulls = jnp.split(found, [1, 6, 12, MOMENTS, MOMENTS + width], axis=1)
     none = jnp.zeros_like(total)  # the moments that no gradient needs
     moments = jnp.concatenate([total, none, k, slack / HALF_LOG2_E, none, e], axis=1)
     pull = None if splats.pull is None else pulls / HALF_LOG2_E
@@ -175,9 +173,9 @@ def hulls_of(
 ) -> tuple[Float[Array, "n 2"], Float[Array, "n 3"], Float[Array, "n 2"]]:
     """Returns ellipses around all pixels that splats reach, as if they were splats of the same opacity.
 
-    A splat reaches the ellipse of `along_rays.bounds` and a disc of blur around its mean, which lies in a disc
-    around the centre of that ellipse. The hull has the axes of the ellipse, each as long as the longer of
-    both, and so contains both.
+    A splat reaches the ellipse of `along_rays.bounds` and a disc of blur around its mean, which lies in a
+    larger disc around the centre of that ellipse. The hull has the axes of the ellipse, but none that is
+    shorter than the radius of the larger disc, so it contains all of them.
 
     Returns:
         Centres, roots of inverse covariances, and half widths and heights of their boxes.

@@ -26,6 +26,7 @@ from splatax.training.moving import Pace, Rows, by_view, moved
 from splatax.training.objectives import TrainingView
 from splatax.training.optimizer import LearningRates
 from splatax.training.recipes import Recipe
+from splatax.training.traced import of_a_step
 
 
 class Faults(NamedTuple):
@@ -74,8 +75,10 @@ def train_step(state: TrainState, batch: Batch, recipe: Recipe) -> tuple[TrainSt
     resolved already.
     """
     # Numbers that depend on the length of the run are inputs of the program, so that runs of all lengths
-    # share one program in the compilation cache.
-    return _train_step(state, batch, recipe.optimizer.rates, recipe.sh.openings(recipe.steps), recipe)
+    # share one program, in this process and in the compilation cache.
+    return _train_step(
+        state, batch, recipe.optimizer.rates, recipe.sh.openings(recipe.steps), of_a_step(recipe)
+    )
 
 
 @partial(jax.jit, static_argnames="recipe", donate_argnames="state")

@@ -21,6 +21,7 @@ from splatax.training.protocols import ResolutionSchedule
 from splatax.training.recipes import Recipe
 from splatax.training.schedule import Schedule
 from splatax.training.step import TrainState, train_step
+from splatax.training.traced import of_a_step
 from splatax.training.views import step_on_views
 
 MOST_PROGRAMS = 4  # of training steps for a scene of one size; one takes seconds to compile
@@ -111,7 +112,9 @@ class SeveralViews:
         """Makes a step on several views."""
         openings = jnp.asarray(recipe.sh.openings(recipe.steps))
         seen = replace(seen, context=self.context)
-        return step_on_views(state, seen, recipe.optimizer.rates, openings, recipe, self.dealt.mesh)
+        return step_on_views(
+            state, seen, recipe.optimizer.rates, openings, of_a_step(recipe), self.dealt.mesh
+        )
 
 
 def canvases_of(

@@ -1,7 +1,8 @@
-"""Measures a twin against MuJoCo: `MUJOCO_GL=egl python docs/measure_twin.py [STEPS [GAUSSIANS]]`.
+"""Measures a twin against MuJoCo: `MUJOCO_GL=egl python docs/measure_twin.py [STEPS [GAUSSIANS [SIZE]]]`.
 
-MuJoCo photographs a small arm (`splatax.demo.robot.ARM`) from many sides in one pose. A scene is trained on
-these photos, and the true segmentation of the same photos splits it into parts. The parts then follow the
+MuJoCo photographs a small arm (`splatax.demo.robot.ARM`) from many sides in one pose, in colour and depth, with
+SIZE x SIZE pixels (128). A scene is trained on these RGB-D frames, and the true segmentation of the same
+photos splits it into parts. The parts then follow the
 bodies to 20 other joint configurations, and MuJoCo's color, depth and segmentation of each is the truth. It
 needs the packages of the extra "twins", and draws docs/images/twins.jpg.
 """
@@ -111,19 +112,29 @@ def views_around(photographer: Photographer, count: int) -> list[Truth]:
     return found
 
 
+def frame_of(truth: Truth) -> twins.RgbdFrame:
+    """Returns what an RGB-D camera would have measured: colour over black, and depth."""
+    rgb = truth.rgba[..., :3] * (truth.rgba[..., 3:] / 255.0) / 255.0
+    return twins.RgbdFrame(truth.camera, rgb, truth.depth)
+
+
 def trained(photos: list[Truth], steps: int, count: int) -> sx.Gaussians:
-    """Trains a scene on the photos, from random points."""
+    """Trains a scene on RGB-D frames: it starts from their points, and its depth is compared with theirs."""
     views = tuple(
-        sx.View(f"{i:03}.png", photo.camera, cache(lambda photo=photo: photo.rgba))
+        sx.View(
+            f"{i:03}.png", photo.camera, cache(lambda photo=photo: photo.rgba), landmarks=frame_of(photo).points
+        )
         for i, photo in enumerate(photos)
     )
-    rng = np.random.default_rng(0)
-    places = rng.uniform([-0.4, -0.4, -0.02], [0.4, 0.4, 0.9], (count // 3, 3)).astype(np.float32)
-    points = sx.PointCloud(places, np.full_like(places, 0.5))
+    places = np.concatenate([view.landmarks() for view in views])
+    colors = np.concatenate([photo.rgba[photo.depth > 0][:, :3] / 255 for photo in photos])
+    chosen = np.random.default_rng(0).choice(len(places), count // 2, replace=False)
+    points = sx.PointCloud(places[chosen].astype(np.float32), colors[chosen].astype(np.float32))
     recipe = sx.recipes.default(steps, count)
     recipe = replace(
         recipe,
-        objective=replace(recipe.objective, geometry=Surfaces()),
+        objective=replace(recipe.objective, geometry=SURFACES),
+        drawing=replace(recipe.drawing, low_pass=LOW_PASS),
         sh=replace(recipe.sh, degree=0),
     )
     began = time.process_time()
@@ -196,9 +207,7 @@ def located(scene: sx.Scene, truth: Truth, name: str, seed: int) -> tuple[float,
     rotation = np.asarray(right.rotation, np.float64)
     center = rotation @ middle[:3] + np.asarray(right.translation)
     wrong = Similarity(turn @ rotation, center + 0.03 * way - turn @ rotation @ middle[:3])
-    rgb = truth.rgba[..., :3] * (truth.rgba[..., 3:] / 255.0) / 255.0
-    frame = twins.RgbdFrame(truth.camera, rgb, truth.depth)
-    found = twins.located(scene.posed({name: wrong}), name, frame)
+    found = twins.located(scene.posed({name: wrong}), name, frame_of(truth))
     apart = np.asarray(found.rotation, np.float64) @ rotation.T
     angle = np.degrees(Rotation.from_matrix(apart).magnitude())
     there = np.asarray(found.rotation) @ middle[:3] + np.asarray(found.translation)

@@ -205,11 +205,8 @@ def measure_recovery(steps: int, count: int, size: int = SIZE, views: int = 6) -
 
 
 def report(name: str, degrees: np.ndarray) -> None:
-    print(
-        f"{name}: error of {len(degrees)} joints: mean {degrees.mean():.2f}, median {np.median(degrees):.2f}, "
-        f"largest {degrees.max():.2f} degrees",
-        flush=True,
-    )
+    mean, median, most = degrees.mean(), np.median(degrees), degrees.max()
+    print(f"{name}: {len(degrees)} joints, mean {mean:.2f}, median {median:.2f}, largest {most:.2f} degrees")
 
 
 MEASURES = {"hand": measure_hand, "robot": measure_robot, "recover": measure_recovery}

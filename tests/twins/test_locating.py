@@ -19,5 +19,8 @@ def test_the_points_of_a_frame_lie_where_its_camera_measured_them():
     matrix = np.asarray(pose, np.float64)
     local = points @ matrix[:3, :3].T + matrix[:3, 3]
     # The principal point is the middle of the image, and pixel centres are at halves.
-    expected = [[(4.5 - 3) / 5 * 1.5, (1.5 - 2) / 5 * 1.5, 1.5], [(0.5 - 3) / 5 * 2.5, (3.5 - 2) / 5 * 2.5, 2.5]]
+    expected = [
+        [(4.5 - 3) / 5 * 1.5, (1.5 - 2) / 5 * 1.5, 1.5],
+        [(0.5 - 3) / 5 * 2.5, (3.5 - 2) / 5 * 2.5, 2.5],
+    ]
     assert_allclose(local, expected, atol=1e-5)

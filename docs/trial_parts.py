@@ -221,8 +221,8 @@ class SecondOrder(OneView):
 
         step = clip(pace m / h, -r, r),   m = mean of gradients,   h = mean of (J^T z)^2
 
-    J is the derivative of the rendering, and z has random signs and, at each number of the image, the variance
-    |dL/dI| / (|I - photo| + 0.01): the quadratic that touches the loss there. E (J^T z)^2 is the diagonal of
+    J is the derivative of the rendering, and z has random signs and, at each number of the image, the
+    variance |dL/dI| / (|I - photo| + 0.01): the quadratic that touches the loss there. E (J^T z)^2 is the diagonal of
     its Hessian (Hutchinson). The radius r of a trust region is a Hellinger distance for means, scales,
     quaternions and opacities, and a change of colour for harmonics. The means m and h are kept where Adam
     keeps its moments.

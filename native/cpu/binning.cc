@@ -102,6 +102,7 @@ int append_spans(const Splat& splat, std::vector<Span>& spans) {
 
 void Binning::collect(const Input& input, Workers& workers, int64_t max_pairs) {
   listed_ = NONE;
+  seen_known_ = false;
   count_ = input.count;
   channel_count_ = input.channel_count;
   width_ = input.width;
@@ -185,6 +186,7 @@ void Binning::order(Workers& workers) {
 void Binning::list(int number, Workers& workers) {
   if (listed_ == number) return;
   listed_ = number;
+  seen_known_ = false;
   const Round& round = rounds[number];
   const int count = round.end - round.begin, ranges = workers.count();
   int32_t* first = first_pair.at_least(count + 1);

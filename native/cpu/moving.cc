@@ -19,6 +19,7 @@ constexpr int CHUNK = 256;  // rows whose gradients are kept at a time
 constexpr float LOG2_E = 1.442695041f;
 constexpr float SHARPNESS = 100, FAINT = 0.005f, NOISELESS = 0.17135532f;  // as in splatax/moving.py
 constexpr float NOTHING = -std::numeric_limits<float>::infinity();         // logit of an empty slot
+constexpr float FADED = 0x1p-20f;                                                // as in splatax/moving.py
 
 SPLATAX_INLINE Mask is_zero(Lanes a) { return (a <= broadcast(0)) & (broadcast(0) <= a); }
 SPLATAX_INLINE bool all(Mask mask) { return bits(mask) == (1u << LANES) - 1; }
@@ -61,9 +62,11 @@ class Mover {
   void run(int first, int count) {
     const size_t row = first;
     alignas(64) float lives[LANES] = {};
-    for (int lane = 0; lane < count; ++lane) lives[lane] = move_.scene.opacity_logits[row + lane] > NOTHING;
-    if (move_.rate_for_each_row) {
-      for (int i = 0; good_ && i < 3 * count; ++i) mean_rates_[i] = move_.mean_rates[row + i / 3];
+    if (number(SCALE_WEIGHT) != 0 || number(OPACITY_WEIGHT) != 0) {
+      for (int lane = 0; lane < count; ++lane) lives[lane] = move_.scene.opacity_logits[row + lane] > NOTHING;
+    }
+    if (move_.rate_for_each_row && good_) {
+      for (int lane = 0; lane < count; ++lane) std::fill_n(mean_rates_ + 3 * lane, 3, move_.mean_rates[row + lane]);
     }
     const auto no_prior = [](int, const float*) { return broadcast(0); };
     const auto scale_prior = [&](int at, const float* values) {
@@ -82,9 +85,11 @@ class Mover {
           opacity_prior);
     field(&Fields<float>::sh, &Fields<const float>::sh, row, 3 * move_.coefficients, count, sh_rates_, sh_free_, no_prior);
     field(&Fields<float>::means, &Fields<const float>::means, row, 3, count, mean_rates_, nullptr, no_prior);
-    const Columns<4> before(move_.scene.quats + 4 * row, 4, count);
-    field(&Fields<float>::quats, &Fields<const float>::quats, row, 4, count, quat_rates_, nullptr, no_prior);
-    normalize(before, row, count);
+    if (!quats_rest(row, count)) {
+      const Columns<4> before(move_.scene.quats + 4 * row, 4, count);
+      field(&Fields<float>::quats, &Fields<const float>::quats, row, 4, count, quat_rates_, nullptr, no_prior);
+      normalize(before, row, count);
+    }
     if (good_ && number(NOISE_STRENGTH) != 0) shake(row, count);
   }
 
@@ -111,7 +116,7 @@ class Mover {
     std::copy_n(means, left, place.means + whole), std::copy_n(squares, left, place.squares + whole);
   }
 
-  // Numbers whose gradient and moments are zero are not written, because they would not change.
+  // Numbers at rest are not written, and their squares not read.
   template <class Prior>
   SPLATAX_INLINE void adam(const Place& place, int at, const float* rates, const float* free, const Prior& prior) const {
     Lanes gradient = broadcast(0);
@@ -120,17 +125,28 @@ class Mover {
       if (free) gradient = or_zero(broadcast(0) < load(free + at), gradient);
       gradient = gradient + prior(at, place.values);
     }
-    Lanes mean = load(place.means), square = load(place.squares);
-    const Mask still = is_zero(gradient) & is_zero(mean);
-    if (all(still & is_zero(square))) return;
-    square = square_decay_ * square + square_rest_ * (gradient * gradient);
-    store(place.squares, square);
-    if (all(still)) return;
+    Lanes mean = load(place.means);
+    const Mask unfed = is_zero(gradient), rests = unfed & is_zero(mean);
+    if (all(rests)) return;
+    const Lanes before = load(place.squares), values = load(place.values);
+    const Lanes square = where(rests, before, square_decay_ * before + square_rest_ * (gradient * gradient));
     mean = decay_ * mean + rest_ * gradient;
-    store(place.means, mean);
     const Lanes length = sqrt(square * broadcast(number(SQUARE_CORRECTION))) + number(EPSILON);
     const Lanes step = (mean * broadcast(number(MEAN_CORRECTION))) / length;
-    store(place.values, load(place.values) - load(rates + at) * step);
+    const Mask faded = unfed & (absolute(step) <= broadcast(FADED));
+    store(place.squares, square);
+    store(place.means, where(faded, broadcast(0), mean));
+    store(place.values, where(faded, values, values - load(rates + at) * step));
+  }
+
+  // Returns true if no quaternion of sixteen rows will move.
+  bool quats_rest(size_t row, int count) const {
+    if (count < LANES) return false;
+    Mask rest = is_zero(broadcast(0));
+    for (size_t at = 4 * row; at < 4 * (row + LANES); at += LANES) {
+      rest = rest & is_zero(load(gradients_.quats + at)) & is_zero(load(move_.mean.quats + at));
+    }
+    return all(rest);
   }
 
   // Normalizes the quaternions that differ from those before.

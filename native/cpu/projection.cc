@@ -3,6 +3,8 @@
 namespace splatax {
 namespace {
 
+constexpr float FURTHEST = 11.09f;  // above 2 log(255): squared reach of an opaque splat, in standard deviations
+
 // Colours of sixteen Gaussians, from `first` on, by their spherical harmonics.
 Vector colors(const Vector& means, const Gaussians& gaussians, const View& view, int first, int count) {
   const Direction direction(means, view);
@@ -76,14 +78,18 @@ void project_lanes(const Gaussians& gaussians, const View& view, const Projected
   const size_t row = first;
   const Lanes x = p.lens.pixel_x(), y = p.lens.pixel_y();
 
+  const auto in_image = [&](Lanes width, Lanes height) {
+    return (broadcast(0) < x + width) & (x - width < broadcast(view.width)) & (broadcast(0) < y + height) &
+           (y - height < broadcast(view.height));
+  };
+  // No splat reaches further than one of opacity 1, so logarithms of the others that are near the image suffice.
+  const Mask possible = p.usable & (broadcast(MIN_ALPHA) <= p.opacity) &
+                        in_image(sqrt(broadcast(FURTHEST) * p.a), sqrt(broadcast(FURTHEST) * p.c));
   alignas(64) float reach[LANES];
-  store(reach, max(p.opacity * broadcast(1 / MIN_ALPHA), broadcast(1)));
-  for (float& value : reach) value = 2 * std::log(value);
-  Lanes width = sqrt(load(reach) * p.a), height = sqrt(load(reach) * p.c);
-  const Mask opaque = p.usable & (broadcast(MIN_ALPHA) <= p.opacity);
-  const Mask overlaps = (broadcast(0) < x + width) & (x - width < broadcast(view.width)) & (broadcast(0) < y + height) &
-                        (y - height < broadcast(view.height));
-  Mask visible = opaque & overlaps;
+  store(reach, or_zero(possible, max(p.opacity * broadcast(1 / MIN_ALPHA), broadcast(1))));
+  for (float& value : reach) value = value > 0 ? 2 * std::log(value) : 0;
+  const Lanes width = sqrt(load(reach) * p.a), height = sqrt(load(reach) * p.c);
+  Mask visible = possible & in_image(width, height);
 
   Vector color{broadcast(0), broadcast(0), broadcast(0)};
   const unsigned which = bits(visible) & ((1u << count) - 1);

@@ -6,8 +6,12 @@ With the gradient g of a number x, its learning rate r, and after t steps:
     m <- b1 m + (1 - b1) g',   v <- b2 v + (1 - b2) g'^2                       (Kingma and Ba 2015, Alg. 1)
     x <- x - r (m / (1 - b1^t)) / (sqrt(v / (1 - b2^t)) + eps)
 
+Two rules let a step pass over what no view shows. A number whose gradient g' and mean m are zero rests: neither
+it nor its v changes, until a gradient wakes it. And where g' is zero, a mean that would move its number by at most
+2^-20 of the learning rate becomes zero instead, which happens after about 130 steps without a gradient.
+
 Then quaternions that have changed are normalized, and noise moves the means of faint Gaussians; see `shaken`.
-A parameter whose gradient and moments are zero does not change. The update of a row depends on no other row.
+The update of a row depends on no other row.
 """
 
 import math
@@ -27,6 +31,7 @@ from splatax.shapes import check_arrays
 SHARPNESS = 100  # slope of the noise's gate, which lets noise through to faint Gaussians only
 FAINT = 0.005  # opacity at which the gate is half open
 NOISELESS = FAINT + 24 * math.log(2) / SHARPNESS  # opacity from which it is shut: it would let 2^-24 through
+FADED = 2.0**-20  # step, as a fraction of the learning rate, up to which a mean without a gradient becomes zero
 
 
 @dataclass(frozen=True)
@@ -133,15 +138,18 @@ def move(
     gradients = with_prior(gaussians, gradients, step, rule)
     gradients = jax.tree.map(lambda leaf: jnp.where(step.good, leaf, 0), gradients)
     rates = jax.tree.map(lambda leaf: jnp.where(step.good, leaf, 0), step.rates)
-    mean = jax.tree.map(lambda m, g: rule.b1 * m + (1 - rule.b1) * g, moments.mean, gradients)
-    square = jax.tree.map(lambda v, g: rule.b2 * v + (1 - rule.b2) * (g * g), moments.square, gradients)
     by_mean, by_square = corrections(step, rule)
 
-    def moved(x: Array, rate: Array, m: Array, v: Array) -> Array:
-        length = jnp.sqrt(v * by_square) + rule.eps
-        return x - rate * (m * by_mean / length)
+    def moved(x: Array, rate: Array, g: Array, m: Array, v: Array) -> tuple[Array, Array, Array]:
+        rests = (g == 0) & (m == 0)
+        m = rule.b1 * m + (1 - rule.b1) * g
+        v = jnp.where(rests, v, rule.b2 * v + (1 - rule.b2) * (g * g))
+        way = m * by_mean / (jnp.sqrt(v * by_square) + rule.eps)
+        faded = (g == 0) & (jnp.abs(way) <= FADED)
+        return jnp.where(faded, x, x - rate * way), jnp.where(faded, 0, m), v
 
-    after = jax.tree.map(moved, gaussians, rates, mean, square)
+    each = jax.tree.map(moved, gaussians, rates, gradients, *moments)
+    after, mean, square = jax.tree.transpose(jax.tree.structure(gaussians), jax.tree.structure((0, 0, 0)), each)
     changed = jnp.any(after.quats != gaussians.quats, axis=1, keepdims=True)
     quats = jnp.where(changed, jax.vmap(quaternions.normalize)(after.quats), gaussians.quats)
     # Without the barrier, XLA computes Adam again for each use in the noise.

@@ -15,7 +15,7 @@ namespace splatax {
 class Settling {
  public:
   void settle([[maybe_unused]] void* data, [[maybe_unused]] size_t bytes) {
-#if defined(__linux__) && defined(MADV_COLLAPSE)
+#if defined(__linux__) && defined(MADV_HUGEPAGE)
     if (bytes < LEAST) return;
     const std::lock_guard<std::mutex> lock(mutex_);
     const Place place(data, bytes);
@@ -26,11 +26,12 @@ class Settling {
     const uintptr_t begin = (reinterpret_cast<uintptr_t>(data) + PAGE - 1) / PAGE * PAGE;
     const uintptr_t end = (reinterpret_cast<uintptr_t>(data) + bytes) / PAGE * PAGE;
     madvise(reinterpret_cast<void*>(begin), end - begin, MADV_HUGEPAGE);
-    madvise(reinterpret_cast<void*>(begin), end - begin, MADV_COLLAPSE);
+    madvise(reinterpret_cast<void*>(begin), end - begin, COLLAPSE);
 #endif
   }
 
  private:
+  static constexpr int COLLAPSE = 25;               // MADV_COLLAPSE of Linux 6.1, which older headers lack
   static constexpr size_t LEAST = size_t{1} << 23;  // bytes: smaller arrays gain little
   static constexpr size_t MOST = 64;                // arrays that are remembered
   using Place = std::pair<void*, size_t>;

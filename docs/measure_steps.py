@@ -5,9 +5,9 @@ python docs/measure_steps.py GAUSSIANS SEEN PAST RECIPE STEPS
     PAST        of those out of view: "never" seen, seen "long" ago, or seen "lately"
     RECIPE      name of a preset
 
-It prints milliseconds of CPU time of all threads for a step, median and minimum, the system's part of them, page
-faults, and the peak memory of the process during the steps for each Gaussian. To compare two versions, run it with
-one and the other in turn.
+It prints milliseconds of CPU time of all threads for a step, median and minimum, the system's part of them,
+page faults, and the peak memory of the process during the steps for each Gaussian. To compare two versions,
+run it with one and the other in turn.
 """
 
 import resource

@@ -82,7 +82,8 @@ class Binning {
   Tile tile(int number) const {
     const int begin = starts_[number], end = starts_[number + 1];
     const int left = number % columns * TILE, top = number / columns * TILE;
-    return {number, left, top, splats.get(), pairs_.get() + begin, end - begin, seen_known_ ? seen_.get() + first_word(number) : nullptr};
+    const uint64_t* seen = seen_known_ ? seen_.get() + first_word(number) : nullptr;
+    return {number, left, top, splats.get(), pairs_.get() + begin, end - begin, seen};
   }
 
  private:

@@ -20,7 +20,7 @@ constexpr int CHUNK = 256;  // rows whose gradients are kept at a time
 constexpr float LOG2_E = 1.442695041f;
 constexpr float SHARPNESS = 100, FAINT = 0.005f, NOISELESS = 0.17135532f;  // as in splatax/moving.py
 constexpr float NOTHING = -std::numeric_limits<float>::infinity();         // logit of an empty slot
-constexpr float FADED = 0x1p-20f;                                                // as in splatax/moving.py
+constexpr float FADED = 0x1p-20f;                                          // as in splatax/moving.py
 
 SPLATAX_INLINE Mask is_zero(Lanes a) { return (a <= broadcast(0)) & (broadcast(0) <= a); }
 SPLATAX_INLINE bool all(Mask mask) { return bits(mask) == (1u << LANES) - 1; }
@@ -301,7 +301,9 @@ class ChunkOfGradients {
 // Moves rows [first, end). `seen`, for each of them, as of `Mover::run`.
 void move_some(Mover& mover, int first, int end, const uint8_t* seen) {
   const Flushing flushing;
-  for (int row = first; row < end; row += LANES) mover.run(row, std::min(LANES, end - row), seen ? seen + (row - first) : nullptr);
+  for (int row = first; row < end; row += LANES) {
+    mover.run(row, std::min(LANES, end - row), seen ? seen + (row - first) : nullptr);
+  }
 }
 
 }  // namespace

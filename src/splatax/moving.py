@@ -6,10 +6,10 @@ With the gradient g of a number x, its learning rate r, and after t steps:
     m <- b1 m + (1 - b1) g',   v <- b2 v + (1 - b2) g'^2                       (Kingma and Ba 2015, Alg. 1)
     x <- x - r (m / (1 - b1^t)) / (sqrt(v / (1 - b2^t)) + eps)
 
-Three rules let a step pass over what no view shows. A Gaussian whose gradients without the prior's are zero, and
-the m of whose centre is zero, rests: its centre, quaternion and harmonics keep their x, m and v. A single number
-with g' = 0 and m = 0 rests too. And where g' is zero, an m that would move its number by at most 2^-20 of the
-learning rate becomes zero instead, which happens after about 130 steps without a gradient.
+Three rules let a step pass over what no view shows. A Gaussian whose gradients without the prior's are zero,
+and the m of whose centre is zero, rests: its centre, quaternion and harmonics keep their x, m and v. A single
+number with g' = 0 and m = 0 rests too. And where g' is zero, an m that would move its number by at most 2^-20
+of the learning rate becomes zero instead, which happens after about 130 steps without a gradient.
 
 Then quaternions that have changed are normalized, and noise moves the means of faint Gaussians; see `shaken`.
 The update of a row depends on no other row.
@@ -33,7 +33,9 @@ from splatax.shapes import check_arrays
 SHARPNESS = 100  # slope of the noise's gate, which lets noise through to faint Gaussians only
 FAINT = 0.005  # opacity at which the gate is half open
 NOISELESS = FAINT + 24 * math.log(2) / SHARPNESS  # opacity from which it is shut: it would let 2^-24 through
-FADED = 2.0**-20  # step, as a fraction of the learning rate, up to which a mean without a gradient becomes zero
+FADED = (
+    2.0**-20
+)  # step, as a fraction of the learning rate, up to which a mean without a gradient becomes zero
 
 
 @dataclass(frozen=True)
@@ -154,7 +156,9 @@ def move(
         return after, jnp.where(rests, m, jnp.where(faded, 0, mean)), jnp.where(rests, v, square)
 
     each = jax.tree.map(moved, gaussians, rates, gradients, *moments, asleep)
-    after, mean, square = jax.tree.transpose(jax.tree.structure(gaussians), jax.tree.structure((0, 0, 0)), each)
+    after, mean, square = jax.tree.transpose(
+        jax.tree.structure(gaussians), jax.tree.structure((0, 0, 0)), each
+    )
     changed = jnp.any(after.quats != gaussians.quats, axis=1, keepdims=True)
     quats = jnp.where(changed, jax.vmap(quaternions.normalize)(after.quats), gaussians.quats)
     # Without the barrier, XLA computes Adam again for each use in the noise.

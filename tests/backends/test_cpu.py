@@ -69,9 +69,13 @@ def test_rounds_change_nothing_that_is_drawn(width):
 
 @pytest.mark.parametrize("pulled", [False, True])
 def test_a_gradient_has_the_same_bits_whether_or_not_the_lists_of_its_image_are_kept(pulled):
-    opaque = replace(SCENE, opacities=jnp.linspace(0.01, 1, 600, dtype=jnp.float32))  # many pixels are finished
+    opaque = replace(
+        SCENE, opacities=jnp.linspace(0.01, 1, 600, dtype=jnp.float32)
+    )  # many pixels are finished
     pull = jnp.zeros_like(SCENE.means2d) if pulled else None
-    image, pull_back = jax.vjp(lambda splats: cpu.BEST.composite(splats, splats.colors), replace(opaque, pull=pull))
+    image, pull_back = jax.vjp(
+        lambda splats: cpu.BEST.composite(splats, splats.colors), replace(opaque, pull=pull)
+    )
     assert np.mean(image[1] > 0.999) > 0.2
     weights = jnp.asarray(np.random.default_rng(0).normal(size=image[0].shape), jnp.float32)
     kept = pull_back((weights, weights[..., 0]))

@@ -207,7 +207,12 @@ def test_a_gaussian_without_gradient_whose_centre_has_no_mean_rests_until_a_grad
     gradients = jax.tree.map(lambda leaf: leaf.at[16:40].set(0), like(gaussians, 1))
     gradients = replace(gradients, sh=gradients.sh.at[30, 1, 2].set(1e-3).at[31, 6].set(1e-3))
     moved, after = move(
-        gaussians, gradients, Moments(still, moments.square), step(gaussians), rule=replace(FULL, noise=0.0), block=N
+        gaussians,
+        gradients,
+        Moments(still, moments.square),
+        step(gaussians),
+        rule=replace(FULL, noise=0.0),
+        block=N,
     )
     asleep = [*range(16, 30), *range(31, 40)]  # in row 31, a band that is not learned yet has a gradient
     for name in ("means", "quats", "sh"):

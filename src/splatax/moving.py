@@ -33,9 +33,7 @@ from splatax.shapes import check_arrays
 SHARPNESS = 100  # slope of the noise's gate, which lets noise through to faint Gaussians only
 FAINT = 0.005  # opacity at which the gate is half open
 NOISELESS = FAINT + 24 * math.log(2) / SHARPNESS  # opacity from which it is shut: it would let 2^-24 through
-FADED = (
-    2.0**-20
-)  # step, as a fraction of the learning rate, up to which a mean without a gradient becomes zero
+FADED = 2.0**-20  # of the learning rate: step up to which a mean without a gradient becomes zero
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Measures rigs on two models with known poses: `python docs/measure_rigs.py hand|robot|recover STEPS COUNT`.
 
-`recover` takes a third number, the width of the photos.
+`recover` takes two more numbers: the width of the photos, and how many show each training pose.
 
 The models are in SPLATAX_DATA/rigs: `hand-right.glb` of @webxr-input-profiles/assets (MIT), and
 `RobotExpressive.glb` by Tomas Laulhe (CC0). Their surfaces get a procedural texture and are photographed
@@ -28,7 +28,7 @@ from splatax.scene.body import Body
 from splatax.scene.rigged import RiggedScene
 from splatax.scene.skeleton import Pose, Skeleton
 from splatax.scene.skin import skin
-from splatax.training.posing import Search, pose_search
+from splatax.training.posing import Search, fit_pose
 from splatax.training.rigged import optimize_rig, recipe_for
 from splatax.training.rigged_step import Learned
 
@@ -82,7 +82,7 @@ def photographed(
     photos, pose_of = {}, {}
     for name, pose in poses.items():
         for i in range(views):
-            photo = f"{name}-{i}.png"
+            photo = f"{name}-{seed}-{i}.png"
             camera = camera_around(body, rng.uniform(0, 2 * np.pi), rng.uniform(-0.7, 0.7), size)
             photos[photo], pose_of[photo] = (pose, camera), name
     return posed_dataset(body, photos, [p for p in photos if pose_of[p] in held_out]), pose_of
@@ -131,7 +131,7 @@ def measure_hand(steps: int, count: int) -> None:
     for name, views, names in (
         ("training poses, training photos", dataset.train, pose_of),
         ("training poses, other photos", others.train, other_of),
-        ("held-out poses", (*dataset.test, *others.test), pose_of),
+        ("held-out poses", (*dataset.test, *others.test), pose_of | other_of),
     ):
         print(f"hand, {name}: {psnr(last.gaussians, last.rig, poses, views, names):.2f} dB")
 
@@ -167,36 +167,49 @@ def over_white(pixels: np.ndarray) -> np.ndarray:
     return photo[..., :3] * photo[..., 3:] + 1 - photo[..., 3:]
 
 
-def measure_recovery(steps: int, count: int, size: int = SIZE) -> None:
-    """Turns the joints of the hand by 10 degrees around random axes, and recovers them from 6 photos."""
-    body, rng = hand(), np.random.default_rng(1)
-    poses = {f"pose{i}": curled(body.skeleton, {f: rng.uniform(0, 1.1) for f in FINGERS}) for i in range(9)}
-    dataset, pose_of = photographed(body, poses, {"pose8"}, views=6, size=size)
+def measure_recovery(steps: int, count: int, size: int = SIZE, views: int = 6) -> None:
+    """Turns the joints of the hand by 10 degrees around random axes, in 3 poses that training has not seen.
+
+    They are recovered from 6 photos of each pose.
+    """
+    body, rng, more = hand(), np.random.default_rng(1), np.random.default_rng(3)
+    poses = {
+        f"pose{i}": curled(body.skeleton, {f: drawn.uniform(0, 1.1) for f in FINGERS})
+        for i, drawn in enumerate([rng] * 9 + [more] * 2)
+    }
+    unseen = ("pose8", "pose9", "pose10")
+    dataset, pose_of = photographed(body, poses, set(unseen), views=6, size=size)
+    if views > 6:
+        others, other_of = photographed(body, poses, set(unseen), views - 6, seed=2, size=size)
+        dataset, pose_of = replace(dataset, train=dataset.train + others.train), pose_of | other_of
     last = trained(body, dataset, poses, pose_of, steps, count)
+    print(f"photos of these poses: {psnr(last.gaussians, last.rig, poses, dataset.test, pose_of):.2f} dB")
     scene = RiggedScene(last.gaussians, last.rig)
     moved = [name for name in body.skeleton.names if "phalanx" in name]
-    axes = rng.normal(size=(len(moved), 3))
-    axes *= np.radians(10) / np.linalg.norm(axes, axis=1, keepdims=True)
-    start = body.skeleton.turned(dict(zip(moved, axes, strict=True)), poses["pose8"])
     rows = [body.skeleton.index(name) for name in moved]
 
-    def errors(pose: Pose) -> np.ndarray:
-        a, b = (
-            Rotation.from_quat(np.asarray(p.quats)[rows][:, [1, 2, 3, 0]]) for p in (pose, poses["pose8"])
-        )
+    def errors(pose: Pose, truth: Pose) -> np.ndarray:
+        a, b = (Rotation.from_quat(np.asarray(p.quats)[rows][:, [1, 2, 3, 0]]) for p in (pose, truth))
         return np.degrees((a.inv() * b).magnitude())
 
-    search = Search(steps=600, background=(1.0, 1.0, 1.0), joints=tuple(moved))
-    for step, (pose, loss) in enumerate(pose_search(scene, dataset.test, start, search), 1):
-        if step in (1, 100, 200, 400, 600):
-            found = errors(pose)
-            print(
-                f"step {step}: loss {float(loss):.4f}, error of {len(rows)} joints: mean {found.mean():.2f}, "
-                f"median {np.median(found):.2f}, largest {found.max():.2f} degrees"
-            )
+    found = []
+    for name in unseen:
+        axes = rng.normal(size=(len(moved), 3))
+        axes *= np.radians(10) / np.linalg.norm(axes, axis=1, keepdims=True)
+        start = body.skeleton.turned(dict(zip(moved, axes, strict=True)), poses[name])
+        photos = [view for view in dataset.test if pose_of[view.name] == name]
+        search = Search(steps=600, background=(1.0, 1.0, 1.0), joints=tuple(moved))
+        found.append(errors(fit_pose(scene, photos, start, search), poses[name]))
+        report(name, found[-1])
+    report("all", np.concatenate(found))
+
+
+def report(name: str, degrees: np.ndarray) -> None:
+    mean, median, most = degrees.mean(), np.median(degrees), degrees.max()
+    print(f"{name}: {len(degrees)} joints, mean {mean:.2f}, median {median:.2f}, largest {most:.2f} degrees")
 
 
 MEASURES = {"hand": measure_hand, "robot": measure_robot, "recover": measure_recovery}
 
 if __name__ == "__main__":
-    MEASURES[sys.argv[1]](*map(int, sys.argv[2:5]))
+    MEASURES[sys.argv[1]](*map(int, sys.argv[2:6]))

@@ -1,9 +1,10 @@
-"""Measures a twin against MuJoCo: `MUJOCO_GL=egl python docs/measure_twin.py [STEPS [GAUSSIANS]]`.
+"""Measures a twin against MuJoCo: `MUJOCO_GL=egl python docs/measure_twin.py [STEPS [GAUSSIANS [SIZE]]]`.
 
-MuJoCo photographs a small arm (`splatax.demo.robot.ARM`) from many sides in one pose. A scene is trained on
-these photos, and the true segmentation of the same photos splits it into parts. The parts then follow the
-bodies to 20 other joint configurations, and MuJoCo's color, depth and segmentation of each is the truth. It
-needs the packages of the extra "twins", and draws docs/images/twins.jpg.
+MuJoCo photographs a small arm (`splatax.demo.robot.ARM`) from many sides in one pose, in colour and depth, by
+default with 128 x 128 pixels. A scene is trained on these RGB-D frames, and the true segmentation of the same
+photos splits it into parts. The parts then follow the bodies to 20 other joint configurations, and MuJoCo's
+color, depth and segmentation of each is the truth. It needs the packages of the extra "twins", and draws
+docs/images/twins.jpg.
 """
 
 import sys
@@ -33,6 +34,10 @@ LOOK_AT, DISTANCE, FIELD = np.array([0.0, 0, 0.42]), 1.55, 42.0
 TRAINED = np.array([0.3, 0.35, -0.5, 0.4])  # joints of the pose that the twin is trained in
 REACH = np.array([1.0, 0.7, 0.8, 0.9])  # largest change of a joint from it, radians
 SENSORS = {"rgb": Color(), "depth": Depth(), "labels": Labels()}
+SURFACES = Surfaces(
+    points=2.0, points_limit=0.03
+)  # a depth camera measures every pixel, without wrong points
+LOW_PASS = sx.Antialiasing(0.1)  # about a pixel's area; a wider blur makes boxes shrink by half a pixel
 PICTURE = Path(__file__).parent / "images" / "twins.jpg"
 
 
@@ -48,11 +53,11 @@ class Truth(NamedTuple):
 class Photographer:
     """MuJoCo with a camera that can be placed anywhere."""
 
-    def __init__(self) -> None:
-        self.model = mujoco.MjModel.from_xml_string(ARM)
+    def __init__(self, size: int = SIZE) -> None:
+        self.size, self.model = size, mujoco.MjModel.from_xml_string(ARM)
         self.data = mujoco.MjData(self.model)
         self.fine, self.plain = (
-            mujoco.Renderer(self.model, SIZE * times, SIZE * times) for times in (FINER, 1)
+            mujoco.Renderer(self.model, size * times, size * times) for times in (FINER, 1)
         )
         self.model.cam_fovy[0] = FIELD
 
@@ -75,7 +80,7 @@ class Photographer:
 
     def truth(self) -> Truth:
         """Takes the photo, with color averaged over the area of each pixel."""
-        camera = twins.camera_of(self.model, self.data, "front", SIZE, SIZE)
+        camera = twins.camera_of(self.model, self.data, "front", self.size, self.size)
         color = self._drawn(self.fine, "color").astype(np.float64)
         covered = self._drawn(self.fine, "segmentation")[..., 0] >= 0
         premultiplied, alpha = (_averaged(image) for image in (color * covered[..., None], covered * 1.0))
@@ -98,7 +103,8 @@ class Photographer:
 
 
 def _averaged(image: np.ndarray) -> np.ndarray:
-    blocks = image.reshape(SIZE, FINER, SIZE, FINER, *image.shape[2:])
+    size = len(image) // FINER
+    blocks = image.reshape(size, FINER, size, FINER, *image.shape[2:])
     return blocks.mean(axis=(1, 3))
 
 
@@ -111,19 +117,32 @@ def views_around(photographer: Photographer, count: int) -> list[Truth]:
     return found
 
 
+def frame_of(truth: Truth) -> twins.RgbdFrame:
+    """Returns what an RGB-D camera would have measured: colour over black, and depth."""
+    rgb = truth.rgba[..., :3] * (truth.rgba[..., 3:] / 255.0) / 255.0
+    return twins.RgbdFrame(truth.camera, rgb, truth.depth)
+
+
 def trained(photos: list[Truth], steps: int, count: int) -> sx.Gaussians:
-    """Trains a scene on the photos, from random points."""
+    """Trains a scene on RGB-D frames: it starts from their points, and its depth is compared with theirs."""
     views = tuple(
-        sx.View(f"{i:03}.png", photo.camera, cache(lambda photo=photo: photo.rgba))
+        sx.View(
+            f"{i:03}.png",
+            photo.camera,
+            cache(lambda photo=photo: photo.rgba),
+            landmarks=frame_of(photo).points,
+        )
         for i, photo in enumerate(photos)
     )
-    rng = np.random.default_rng(0)
-    places = rng.uniform([-0.4, -0.4, -0.02], [0.4, 0.4, 0.9], (count // 3, 3)).astype(np.float32)
-    points = sx.PointCloud(places, np.full_like(places, 0.5))
+    places = np.concatenate([view.landmarks() for view in views])
+    colors = np.concatenate([photo.rgba[photo.depth > 0][:, :3] / 255 for photo in photos])
+    chosen = np.random.default_rng(0).choice(len(places), count // 2, replace=False)
+    points = sx.PointCloud(places[chosen].astype(np.float32), colors[chosen].astype(np.float32))
     recipe = sx.recipes.default(steps, count)
     recipe = replace(
         recipe,
-        objective=replace(recipe.objective, geometry=Surfaces()),
+        objective=replace(recipe.objective, geometry=SURFACES),
+        drawing=replace(recipe.drawing, low_pass=LOW_PASS),
         sh=replace(recipe.sh, degree=0),
     )
     began = time.process_time()
@@ -196,9 +215,7 @@ def located(scene: sx.Scene, truth: Truth, name: str, seed: int) -> tuple[float,
     rotation = np.asarray(right.rotation, np.float64)
     center = rotation @ middle[:3] + np.asarray(right.translation)
     wrong = Similarity(turn @ rotation, center + 0.03 * way - turn @ rotation @ middle[:3])
-    rgb = truth.rgba[..., :3] * (truth.rgba[..., 3:] / 255.0) / 255.0
-    frame = twins.RgbdFrame(truth.camera, rgb, truth.depth)
-    found = twins.located(scene.posed({name: wrong}), name, frame)
+    found = twins.located(scene.posed({name: wrong}), name, frame_of(truth))
     apart = np.asarray(found.rotation, np.float64) @ rotation.T
     angle = np.degrees(Rotation.from_matrix(apart).magnitude())
     there = np.asarray(found.rotation) @ middle[:3] + np.asarray(found.translation)
@@ -206,8 +223,8 @@ def located(scene: sx.Scene, truth: Truth, name: str, seed: int) -> tuple[float,
     return float(angle), float(np.linalg.norm(there - center) / depth[2])
 
 
-def main(steps: int = 3000, count: int = 8000) -> None:
-    photographer = Photographer()
+def main(steps: int = 2500, count: int = 10_000, size: int = SIZE) -> None:
+    photographer = Photographer(size)
     model, data = photographer.model, photographer.data
     photographer.pose(TRAINED)
     photos = views_around(photographer, PHOTOS)
@@ -221,16 +238,8 @@ def main(steps: int = 3000, count: int = 8000) -> None:
     draw = jax.jit(lambda scene, camera: observe(scene, camera, SENSORS))
     report("training pose, training photos", [compared(twin, photo, draw) for photo in photos[::8]])
     report("training pose, held-out photos", [compared(twin, photo, draw) for photo in held_out])
-    rng, moved, frames = np.random.default_rng(1), [], []
-    for i in range(CONFIGURATIONS):
-        photographer.pose(TRAINED + REACH * rng.uniform(-1, 1, len(REACH)))
-        scene = twins.frames_of(model, data, names).place(twin)
-        for _ in range(2):
-            photographer.look_from(rng.uniform(0, 2 * np.pi), np.radians(rng.uniform(-5, 60)))
-            truth = photographer.truth()
-            moved.append(compared(scene, truth, draw))
-            frames.append((scene, truth))
-    report(f"{CONFIGURATIONS} other configurations", moved)
+    frames = moved(photographer, twin)
+    report(f"{CONFIGURATIONS} other configurations", [compared(*frame, draw) for frame in frames])
     pictured(frames[::10], draw)
     for name in ("upper", "fore", "hand"):
         errors = np.array([located(scene, truth, name, i) for i, (scene, truth) in enumerate(frames[::8])])
@@ -239,6 +248,18 @@ def main(steps: int = 3000, count: int = 8000) -> None:
             f"pose of {name} from one frame: rotation mean {angles.mean():.2f}, largest {angles.max():.2f} "
             f"degrees; place mean {100 * places.mean():.2f} %, largest {100 * places.max():.2f} % of depth"
         )
+
+
+def moved(photographer: Photographer, twin: sx.Scene, seed: int = 1) -> list[tuple[sx.Scene, Truth]]:
+    """Returns the twin in other joint configurations, with MuJoCo's images of each from two new sides."""
+    rng, frames = np.random.default_rng(seed), []
+    for _ in range(CONFIGURATIONS):
+        photographer.pose(TRAINED + REACH * rng.uniform(-1, 1, len(REACH)))
+        scene = twins.frames_of(photographer.model, photographer.data, twin.names).place(twin)
+        for _ in range(2):
+            photographer.look_from(rng.uniform(0, 2 * np.pi), np.radians(rng.uniform(-5, 60)))
+            frames.append((scene, photographer.truth()))
+    return frames
 
 
 def pictured(frames: list[tuple[sx.Scene, Truth]], draw) -> None:

@@ -44,6 +44,8 @@ export class Parts {
       part.preview = null;
       part.whole = true;
     }
+    // The swap itself is no reason for Spark to choose levels again, and so to sort and draw twice.
+    if (ready.length) for (const chosen of this.#spark.lodMeshes) chosen.version = Infinity;
     return ready.length > 0;
   }
 

@@ -9,6 +9,9 @@ const FAR = 1e5; // only for clipping: splats are sorted, not depth-tested
 const SHARPEST = 2; // most device pixels per CSS pixel
 export const QUALITIES = { high: 1, medium: 0.7, low: 0.45 }; // fraction of the device's pixels along each axis
 const SLOW = 45; // milliseconds a frame, above which "auto" lowers the resolution while the view moves
+// Smallest splats that level of detail draws, pixels: if the view is still or frames are fast, and if they are slow.
+const FINE = 0.3;
+const COARSE = 2;
 const MARGIN = 20; // degrees around the picture in which splats stay detailed, for turns
 
 export class Stage {
@@ -86,6 +89,7 @@ export class Stage {
     if (!(changed || this.dirty) || !width || !height || this.#busy(moving)) return;
     this.#resize(width, height, ratio);
     this.#place(pose, width / height);
+    this.spark.lodRenderScale = moving && this.#reduced < 1 ? COARSE : FINE;
     this.dirty = false;
     this.#drawn = state;
     if (!moving && changed) this.spark.update(this); // sorts even after the smallest turn
@@ -179,7 +183,7 @@ export class Stage {
     return Math.min(devicePixelRatio, SHARPEST) * fraction;
   }
 
-  /** Lowers the resolution if frames take too long. */
+  /** Lowers resolution and detail if frames take too long. */
   #judge(milliseconds) {
     this.#frames.push(milliseconds);
     if (this.#frames.length < 12) return;

@@ -11,6 +11,7 @@ import optax
 from jaxtyping import Array, Float
 
 from splatax.cameras import Camera
+from splatax.cameras.geometry import points_at
 from splatax.errors import InputError
 from splatax.rendering import BLACK, Renderer
 from splatax.scene import Scene
@@ -55,6 +56,16 @@ class RgbdFrame:
     camera: Camera
     rgb: Float[np.ndarray, "h w 3"] | Float[Array, "h w 3"]
     depth: Float[np.ndarray, "h w"] | Float[Array, "h w"]
+
+    def points(self) -> Float[np.ndarray, "n 3"]:
+        """Returns the world points of the pixels whose depth is measured, row by row.
+
+        They serve as the landmarks of a training view, `View(..., landmarks=frame.points)`, which
+        `training.geometry.Surfaces` compares with the depth of the scene.
+        """
+        depth = np.nan_to_num(np.asarray(self.depth))
+        rows, columns = np.nonzero(depth > 0)
+        return points_at(self.camera, np.stack([columns, rows], axis=1) + 0.5, depth[rows, columns])
 
 
 def located(

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from measure_long import VARIANTS, loaded, rates, settling, varied
 from scipy.spatial.transform import Rotation, Slerp
-from trial_parts import BilateralGrid, JaxAdam, LearnedSky, OpacityNoise, Rays, SecondOrder, WithShell
+from trial_parts import BilateralGrid, JaxAdam, LearnedSky, OpacityNoise, Rays, SecondOrder
 
 import splatax as sx
 from splatax.cameras import Camera
@@ -31,6 +31,7 @@ from splatax.rendering import Renderer
 from splatax.sky import Sky
 from splatax.training import loop
 from splatax.training.backgrounds import Solid
+from splatax.training.initialize import WithSky
 from splatax.training.loop import Progress
 from splatax.training.recipes import Recipe, ShSchedule, default, room_for
 from splatax.training.resolution import Resolution
@@ -92,6 +93,11 @@ def with_noise(recipe: Recipe, deviation: float) -> Recipe:
 def by_second_order(**settings: float) -> Trial:
     """Returns the trial of second-order steps."""
     return lambda dataset, recipe: plain(dataset, recipe, SecondOrder(**settings))
+
+
+def before_a_sky(count: int, radius: float) -> Trial:
+    """Returns the trial of a scene with Gaussians on a sphere behind it."""
+    return of(lambda r: replace(r, initialization=WithSky(r.initialization, count, radius)))
 
 
 def before_a_learned_sky(dataset: Dataset, recipe: Recipe) -> Trained:
@@ -217,7 +223,11 @@ TRIALS: dict[str, Trial] = {
     "second order fast": by_second_order(pace=1.0),
     "bilateral grids": of(lambda r: replace(r, appearance=BilateralGrid())),
     "distilled": distilled(0.5),
-    "sky of Gaussians": of(lambda r: replace(r, initialization=WithShell(r.initialization))),
+    "sky of Gaussians": before_a_sky(500, 30.0),
+    "sky of 200 Gaussians": before_a_sky(200, 30.0),
+    "sky of 2000 Gaussians": before_a_sky(2_000, 30.0),
+    "sky at 10 extents": before_a_sky(500, 10.0),
+    "sky at 90 extents": before_a_sky(500, 90.0),
     "sky of harmonics": before_a_learned_sky,
     "smooth exposure": smooth_exposure,
 }

@@ -12,8 +12,7 @@ from jaxtyping import Array, Float
 
 from splatax import backends
 from splatax.cameras import Camera
-from splatax.dataset import Dataset, PointCloud
-from splatax.gaussians import Gaussians, joined
+from splatax.gaussians import Gaussians
 from splatax.math import quaternions
 from splatax.outputs import over
 from splatax.sky import Sky
@@ -21,10 +20,9 @@ from splatax.splats import Splats
 from splatax.stages import composite
 from splatax.training import per_photo
 from splatax.training.feed import Batch
-from splatax.training.initialize import FromPoints
 from splatax.training.optimizer import Adam, free_coefficients
 from splatax.training.per_photo import PerPhoto, PerView
-from splatax.training.protocols import DensityStrategy, DensityUpdate, Initialization, Source
+from splatax.training.protocols import DensityStrategy, DensityUpdate, Source
 from splatax.training.recipes import Recipe
 from splatax.training.step import Shown, TrainState, advanced, compare, photo_over
 from splatax.training.steppers import OneView
@@ -105,9 +103,7 @@ class BilateralGrid(PerView):
         grid = parameters.reshape(*CELLS, 12)
         at_pixels = jnp.einsum("zyxc,hy,wx->hwzc", grid, by_row, by_column)
         change = jnp.einsum("hwzc,hwz->hwc", at_pixels, by_light).reshape(height, width, 3, 4)
-        return (
-            sums + jnp.einsum("hwkc,hwc->hwk", change[..., :3], sums) + alpha[..., None] * change[..., 3]
-        )
+        return sums + jnp.einsum("hwkc,hwc->hwk", change[..., :3], sums) + alpha[..., None] * change[..., 3]
 
     def update(
         self, state: PerPhoto, source: Source, gradient: Array, progress: Array, steps: Array
@@ -126,41 +122,6 @@ class BilateralGrid(PerView):
 def _tents(places: Float[Array, "..."], cells: int) -> Float[Array, "... cells"]:
     """Returns the weights of linear interpolation between cells at places in [0, 1]."""
     return jnp.maximum(1 - jnp.abs(places[..., None] * (cells - 1) - jnp.arange(cells)), 0)
-
-
-@dataclass(frozen=True)
-class WithShell:
-    """Adds grey Gaussians on a sphere far behind the scene.
-
-    Attributes:
-        start: places the others.
-        count: number of Gaussians on the sphere.
-        radius: of the sphere, in extents of the scene.
-    """
-
-    start: Initialization
-    count: int = 500
-    radius: float = 30.0
-
-    def number(self, dataset: Dataset) -> int:
-        """Returns the number of all."""
-        return self.start.number(dataset) + self.count
-
-    def __call__(self, dataset: Dataset, sh_degree: int, seed: int) -> Gaussians:
-        """Returns the Gaussians of `start`, then those of the sphere that a training camera sees."""
-        places = np.arange(self.count) + 0.5
-        z, turn = 1 - 2 * places / self.count, np.pi * (1 + 5**0.5) * places
-        ring = np.sqrt(1 - z * z)
-        sphere = self.radius * dataset.extent * np.stack([ring * np.cos(turn), ring * np.sin(turn), z], 1)
-        seen = np.zeros(self.count, bool)
-        for view in dataset.train:
-            point = sphere @ np.asarray(view.camera.rotation, np.float64).T
-            pixel = np.asarray(view.camera.focal) * point[:, :2] / point[:, 2:]
-            inside = (np.abs(pixel) < 0.6 * np.asarray(view.camera.size)).all(axis=1)
-            seen |= (point[:, 2] > 0) & inside
-        cloud = PointCloud(sphere[seen], np.full((seen.sum(), 3), 0.7))
-        shell = FromPoints(opacity=0.5, scale=0.5)(replace(dataset, points=cloud), sh_degree, seed)
-        return joined([self.start(dataset, sh_degree, seed), shell])
 
 
 class Rays:
@@ -221,8 +182,8 @@ class SecondOrder(OneView):
 
         step = clip(pace m / h, -r, r),   m = mean of gradients,   h = mean of (J^T z)^2
 
-    J is the derivative of the rendering, and z has random signs and, at each number of the image, the
-    variance |dL/dI| / (|I - photo| + 0.01): the quadratic that touches the loss there. E (J^T z)^2 is the diagonal of
+    J is the derivative of the rendering. z has random signs and, at each number of the image, the variance
+    |dL/dI| / (|I - photo| + 0.01): the quadratic that touches the loss there. E (J^T z)^2 is the diagonal of
     its Hessian (Hutchinson). The radius r of a trust region is a Hellinger distance for means, scales,
     quaternions and opacities, and a change of colour for harmonics. The means m and h are kept where Adam
     keeps its moments.
@@ -305,5 +266,3 @@ def _limits(scene: Gaussians) -> Gaussians:
         0.5 / jnp.sqrt(opacities * (1 - opacities)),
         jnp.broadcast_to(bands, scene.sh.shape),
     )
-
-

@@ -21,7 +21,7 @@ from splatax.cli.reconstruct import FindingCameras, Reconstruct
 from splatax.cli.settings import Settings
 from splatax.training.backgrounds import Solid
 from splatax.training.geometry import Surfaces
-from splatax.training.initialize import InFrusta
+from splatax.training.initialize import InFrusta, WithSky
 from splatax.training.recipes import PRESETS, room_for
 
 SPLIT = ("photo04.png",)  # every 8th of nine, from the 5th
@@ -70,6 +70,8 @@ def test_options_decide_over_the_recipe_and_nothing_else_does(capture):
     assert recipe.drawing.background == Solid((1.0, 1.0, 1.0))
     surfaces = Settings(capture, geometry=True).to_recipe(dataset)
     assert surfaces == replace(plain, objective=replace(plain.objective, geometry=Surfaces()))
+    sky = Settings(capture, sky=True).to_recipe(dataset)
+    assert sky == replace(plain, initialization=WithSky(plain.initialization))
     classic = Settings(capture, recipe="classic").to_recipe(dataset)
     assert classic == PRESETS["classic"].build().on(plain.drawing.backend)
 

@@ -62,8 +62,7 @@ def preview(gaussians: Gaussians, count: int) -> Gaussians:
     middle = mean(means)
     away = means - np.repeat(middle, lengths, axis=0)
     covariance = mean(covariances_of(gaussians) + away[:, :, None] * away[:, None, :])
-    moments = matched(middle, covariance, totals) | {"sh": mean(np.asarray(gaussians.sh))}
-    fields: dict[str, Any] = {
-        name: jnp.asarray(field, gaussians.means.dtype) for name, field in moments.items()
-    }
+    merged = matched(middle, covariance, totals) | {"sh": mean(np.asarray(gaussians.sh))}
+    dtype = gaussians.means.dtype
+    fields: dict[str, Any] = {name: jnp.asarray(values, dtype) for name, values in merged.items()}
     return replace(gaussians, **fields)

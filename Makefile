@@ -13,7 +13,7 @@ test: $(READY)  ## runs all tests except those of `make slow`
 	$(BIN)/python -m pytest --numprocesses auto --dist worksteal -m "not slow and not other_build"
 
 slow: $(READY)  ## runs the tests that take many seconds each, such as whole commands on real captures, and those of builds for other CPUs
-	$(BIN)/python -m pytest --numprocesses auto --dist worksteal -m "slow or other_build"
+	$(BIN)/python -m pytest --numprocesses auto --dist worksteal -m "slow or other_build" --durations 25
 
 FUZZ_SECONDS ?= 60
 fuzz: $(READY)  ## feeds damaged files to every reader, a minute for each kind
@@ -25,20 +25,21 @@ lint: $(READY)
 	$(BIN)/mypy
 
 # Most of the time is spent in XLA's compiler, whose memory accesses are checked too. It therefore runs with few
-# optimizations, and sanitizers keep short stack traces and a small quarantine. The AVX2 build is tested only where it is
-# the best one, because it is the baseline with wider vectors, and only one low-pass filter is, because native code gets
-# it as a number. Without a number of jobs, --parallel would compile all files at once.
+# optimizations (tests/conftest.py), and sanitizers keep short stack traces and a small quarantine. Of the builds, the
+# baseline and the best one that runs here are tested. Only one low-pass filter is, because native code gets it as a
+# number. Without a number of jobs, --parallel would compile all files at once.
 SANITIZED := build/sanitize
 HEADERS := build/headers
+BEST = $(shell $(BIN)/python -c "from splatax.backends.cpu import library; print(library.best_instructions())")
 JAXLIB := $(shell sed -n 's/.*"\(jaxlib==[^"]*\)".*/\1/p' pyproject.toml)
 sanitize: $(READY) $(HEADERS)/.ready  ## runs the tests of the native library under the address and undefined-behaviour sanitizers
 	PYTHONPATH=$(abspath $(HEADERS)) cmake -S . -B $(SANITIZED) -DPython_EXECUTABLE=$(abspath $(BIN)/python) -DSPLATAX_SANITIZE=address,undefined
-	cmake --build $(SANITIZED) --target sanitized --parallel $(shell getconf _NPROCESSORS_ONLN)
+	cmake --build $(SANITIZED) --target splatax_baseline splatax_$(BEST) --parallel $(shell getconf _NPROCESSORS_ONLN)
 	LD_PRELOAD="$$($(CXX) -print-file-name=libasan.so) $$($(CXX) -print-file-name=libubsan.so) $$($(CXX) -print-file-name=libstdc++.so)" \
 	  ASAN_OPTIONS=detect_leaks=0:malloc_context_size=1:quarantine_size_mb=16 \
-	  JAX_DISABLE_MOST_OPTIMIZATIONS=1 SPLATAX_NATIVE=$(abspath $(SANITIZED)) \
+	  SPLATAX_NATIVE=$(abspath $(SANITIZED)) \
 	  $(BIN)/python -m pytest tests/contracts tests/backends tests/bench --numprocesses auto --dist worksteal \
-	    -k "(test_cpu or cpu-avx512 or cpu-baseline or drawn_slots or peak) and not low_pass1" -m "not slow"
+	    -k "(test_cpu or cpu-$(BEST) or cpu-baseline or drawn_slots or peak) and not low_pass1" -m "not slow" --durations 25
 
 # The jaxlib whose headers the library is built with. The tests run with the installed one.
 $(HEADERS)/.ready: pyproject.toml | $(READY)

@@ -1,11 +1,12 @@
-"""Measures and draws meshes of the demo scene, beside the truth.
+"""Measures and draws meshes of a procedural scene, beside the truth.
 
-    splatax demo --out RUN                             and
+    splatax demo --scene SCENE --out RUN               and
     splatax train RUN/capture --out RUN2 --geometry
-    python docs/make_mesh.py RUN/capture RUN RUN2
+    python docs/make_mesh.py SCENE RUN/capture RUN RUN2
 
-The script prints the table of docs/mesh.md, and writes docs/images/mesh.jpg: a held-out photo with its true
-normals above, and the mesh of each run with its normals below.
+The script prints rows of the tables of docs/mesh.md: for each run, the meshes of the depth that `auto` takes
+and of the depths of planes. For the scene "still-life" it also writes docs/images/mesh.jpg: a held-out photo
+with its true normals above, and the mesh of each run with its normals below.
 """
 
 import sys
@@ -13,54 +14,99 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
+from scipy.spatial import cKDTree
 
 import splatax as sx
 from splatax import mesh
 from splatax.cameras.geometry import seen_at
 from splatax.demo.raycast import truth
+from splatax.demo.scene import Scene
 from splatax.demo.scenes import DEFAULT, scene_named
+from splatax.demo.shapes import Cylinder
 from splatax.geometry_scores import best_depth
-from splatax.mesh.comparison import places_on
+from splatax.mesh.comparison import TOLERANCE, places_on, points_on
 from splatax.mesh.views import DepthView, Picture
+from splatax.surfaces import positions_of
 
 IMAGES = Path(__file__).parent / "images"
-FINE, SPACING = (
-    4,
-    0.01,
-)  # times the photos' size, and distance, of the true points that meshes are compared with
-POINTS = 3_000_000  # with which a mesh is drawn
+FINE = 4  # times the photos' size, for the truth that meshes are compared with
+SPACING = 0.01  # least distance of the true points
+FAR = 12.0  # distance from a camera beyond which nothing counts: the hills and the horizon of "outdoor"
+THIN = 0.02  # radius below which a cylinder is a thin part
+POINTS = 3_000_000  # with which a mesh is drawn, and near which thin parts are searched
+SURFACE_DEPTHS = ("surface_depth", "median_surface_depth")
 
 
-def main(capture: Path, runs: list[Path]) -> None:
-    dataset, scene = sx.load_dataset(capture), scene_named(DEFAULT)
+def main(name: str, capture: Path, runs: list[Path]) -> None:
+    dataset, scene = sx.load_dataset(capture), scene_named(name)
     cameras = [view.camera for view in dataset.train]
     large = [camera.resized(FINE * camera.width, FINE * camera.height) for camera in cameras]
-    samples = mesh.samples_of([(camera, np.asarray(truth(camera, scene).depth)) for camera in large], SPACING)
+    samples = mesh.samples_of([(camera, true_depth(camera, scene)) for camera in large], SPACING)
+    thin = np.concatenate([thin_points(camera, scene) for camera in large])
+    thin = thin[np.unique(np.floor(thin / SPACING).astype(int), axis=0, return_index=True)[1]]
     exact = [DepthView(view.camera, lambda view=view: exact_picture(view)) for view in dataset.train]
     found = {"exact depth": mesh.extract(exact)}
     for run in runs:
         gaussians = sx.load(run / "scene.ply")
-        depth = best_depth(gaussians, dataset.train)
-        print(f"{run.name}: {depth}")
-        found[run.name] = mesh.extract(mesh.depth_views(gaussians, cameras, depth=depth))
-    for name, each in found.items():
+        best = best_depth(gaussians, dataset.train)
+        for depth in dict.fromkeys((best, *SURFACE_DEPTHS)):
+            views = [near(view) for view in mesh.depth_views(gaussians, cameras, depth=depth)]
+            title = f"{run.name} | {depth}{' (`auto`)' if depth == best else ''}"
+            found[title] = mesh.extract(views)
+            print(title, mesh.resolution_of(views), flush=True)
+    for title, each in found.items():
         agreement = mesh.compare(each, samples)
-        print(
-            f"| {name} | {len(each.faces):,} | {agreement.median:.4f} | {agreement.most:.4f} | "
+        row = (
+            f"| {title} | {len(each.faces):,} | {agreement.median:.4f} | {agreement.most:.4f} | "
             f"{100 * agreement.precision:.1f} % | {100 * agreement.completeness:.1f} % |"
         )
-    view = dataset.test[0]
+        if len(thin):
+            apart = cKDTree(points_on(each, POINTS)).query(thin, distance_upper_bound=TOLERANCE)[0]
+            row += f" {100 * np.mean(apart <= TOLERANCE):.1f} % |"
+        print(row, flush=True)
+    if name == DEFAULT:
+        draw(dataset.test[0], scene, [each for title, each in found.items() if "auto" in title])
+
+
+def draw(view: sx.View, scene: Scene, meshes: list[sx.mesh.Mesh]) -> None:
+    """Writes the picture: a photo with its true normals above meshes with theirs."""
     camera = view.camera.resized(2 * view.camera.width, 2 * view.camera.height)
     photo = np.asarray(Image.fromarray(view.pixels()).resize((camera.width, camera.height)))
     normals = np.asarray(truth(camera, scene).normals)
     rows = [np.concatenate([photo, as_colors(normals)], axis=1)]
-    rows += [np.concatenate(drawn(found[run.name], camera), axis=1) for run in runs]
+    rows += [np.concatenate(drawn(each, camera), axis=1) for each in meshes]
     Image.fromarray(np.concatenate(rows)).save(IMAGES / "mesh.jpg", quality=85)
+
+
+def true_depth(camera: sx.Camera, scene: Scene) -> np.ndarray:
+    """Returns the depth of the surfaces that count, and 0 elsewhere."""
+    depth = np.asarray(truth(camera, scene).depth)
+    return np.where(depth < FAR, depth, 0)
+
+
+def thin_points(camera: sx.Camera, scene: Scene) -> np.ndarray:
+    """Returns the points of rods and wires that a camera sees."""
+    shapes = [surface.shape for surface in scene.surfaces]
+    numbers = [i for i, shape in enumerate(shapes) if isinstance(shape, Cylinder) and shape.radius < THIN]
+    exact = truth(camera, scene)
+    shown = np.isin(np.asarray(exact.surfaces), numbers)
+    return np.asarray(positions_of(camera, np.where(shown, exact.depth, 1).astype(np.float32)))[shown]
+
+
+def near(view: DepthView) -> DepthView:
+    """Returns a view without depths that do not count."""
+
+    def read() -> Picture:
+        picture = view.read()
+        return picture._replace(depth=np.where(picture.depth < FAR, picture.depth, 0))
+
+    return DepthView(view.camera, read)
 
 
 def exact_picture(view: sx.View) -> Picture:
     """Returns the true depth of a view, and its photo."""
-    return Picture(view.truth().depth.astype(np.float32), view.pixels() / np.float32(255))
+    depth = view.truth().depth.astype(np.float32)
+    return Picture(np.where(depth < FAR, depth, 0), view.pixels()[..., :3] / np.float32(255))
 
 
 def as_colors(normals: np.ndarray) -> np.ndarray:
@@ -86,4 +132,4 @@ def drawn(shape: sx.mesh.Mesh, camera: sx.Camera) -> tuple[np.ndarray, np.ndarra
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), [Path(run) for run in sys.argv[2:]])
+    main(sys.argv[1], Path(sys.argv[2]), [Path(run) for run in sys.argv[3:]])

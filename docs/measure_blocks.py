@@ -160,10 +160,11 @@ def step_bytes(gaussians: int, around: int) -> int:
 
     camera = sx.Camera.simple_pinhole(500.0, jnp.eye(4), 504, 378)
     photo = jax.ShapeDtypeStruct((378, 504, 3), jnp.uint8)
+    fraction = jnp.float32(0.25) if around else None
     context = jax.eval_shape(lambda: scene(around)) if around else None
     state = jax.eval_shape(lambda: first_state(scene(gaussians), recipe, 1.0, 10))
     rates, openings = recipe.optimizer.rates, jnp.asarray(recipe.sh.openings(recipe.steps))
-    batch = Batch(camera, photo, context=context)
+    batch = Batch(camera, photo, context=context, fraction=fraction)
     compiled = _train_step.lower(state, batch, rates, openings, recipe).compile()
     found = compiled.memory_analysis()
     return found.argument_size_in_bytes + found.temp_size_in_bytes  # the state is donated: no output is added

@@ -8,6 +8,7 @@ import hashlib
 import os
 import shutil
 import subprocess
+import tempfile
 from functools import cache
 from pathlib import Path
 
@@ -63,16 +64,19 @@ def built() -> Path:
     for path in sources:
         digest.update(path.name.encode() + path.read_bytes())
     folder = NATIVE.parent / "build" / "emulation" / digest.hexdigest()[:16]
-    if not folder.exists():
-        partial = folder.with_name(f"{folder.name}.{os.getpid()}")  # another process may build the same
-        partial.mkdir(parents=True)
-        handlers = sorted((NATIVE / "cuda" / "host").glob("*.cc"))
-        compile(handlers, partial / HANDLERS, "-O1", "-shared", "-DSPLATAX_EMULATION")
-        compile([NATIVE / "emulation" / "driver.cc"], partial / DRIVER, "-O2", "-shared")
-        try:
+    import fcntl  # where there is no emulation, there may be no such module
+
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    # Other processes wait for the one that builds. One that is killed leaves nothing behind that counts.
+    with (folder.parent / "lock").open("w") as lock, tempfile.TemporaryDirectory(dir=folder.parent) as place:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not folder.exists():
+            partial = Path(place) / "built"
+            partial.mkdir()
+            handlers = sorted((NATIVE / "cuda" / "host").glob("*.cc"))
+            compile(handlers, partial / HANDLERS, "-O1", "-shared", "-DSPLATAX_EMULATION")
+            compile([NATIVE / "emulation" / "driver.cc"], partial / DRIVER, "-O2", "-shared")
             partial.rename(folder)
-        except OSError:
-            shutil.rmtree(partial)
     return folder
 
 

@@ -63,7 +63,7 @@ def test_depth_and_normals_of_a_wall_are_right(wall):
 def test_a_scene_behind_the_truth_has_a_positive_bias_and_a_relative_error(wall):
     mean = against_truth(wall, view(known(2.5, (0, 0.6, -0.8), size=2 * SIDE)))
     for error in mean.depths.values():
-        assert error == pytest.approx((0.5, 0.5, 0.2), abs=1e-3)
+        assert error == pytest.approx((0.5, 0.5, 0.2, 0.05), abs=1e-3)
     assert mean.normals == pytest.approx(np.degrees(np.arctan2(0.6, 0.8)), abs=0.1)
     assert against_truth(wall, view(known(4.0))).depths[DEPTH].bias == pytest.approx(-1, abs=1e-3)
 
@@ -106,11 +106,11 @@ def test_truth_of_other_proportions_is_refused(wall):
 
 def test_means_leave_out_views_without_a_measure_and_json_has_no_nan():
     nothing = depth_error(np.zeros(3), np.ones(3))
-    seen = dict.fromkeys(DEPTHS, DepthError(0.2, -0.1, 0.05))
+    seen = dict.fromkeys(DEPTHS, DepthError(0.2, -0.1, 0.05, 0.03))
     blind = GeometryScore("blind", dict.fromkeys(DEPTHS, nothing), 0.0)
     scores = GeometryScores("truth", (GeometryScore("a", seen, 1.0, 4.0), blind))
     assert scores.mean == GeometryScore("mean", seen, 0.5, 4.0)
-    missing = {"error": None, "bias": None, "relative_error": None}
+    missing = {"error": None, "bias": None, "relative_error": None, "capped_error": None}
     assert as_json(scores)["views"][1] == {
         "name": "blind",
         "depth": dict.fromkeys(DEPTHS, missing),
@@ -118,10 +118,29 @@ def test_means_leave_out_views_without_a_measure_and_json_has_no_nan():
     }
 
 
-def test_the_best_depth_is_the_one_with_the_smallest_error(wall):
-    errors = [DepthError(value, 0.0, 0.0) for value in (0.3, 0.1, np.nan)]
-    view_score = GeometryScore("a", dict(zip(DEPTHS, errors, strict=True)), 1.0)
-    assert GeometryScores("points", (view_score,)).best == DEPTHS[1]
+def test_a_depth_that_misses_a_thin_part_has_the_better_median_and_the_worse_mean():
+    expected = np.full(100, 2.0)
+    smooth, sharp = expected * 1.001, expected * 1.004
+    smooth[:9] = 3.0  # the wall behind a rod that fills 9 of 100 pixels
+    missed, kept = depth_error(smooth, expected), depth_error(sharp, expected)
+    assert missed.relative < kept.relative
+    assert missed.capped == pytest.approx(0.09 * 0.05 + 0.91 * 0.001)
+    assert kept.capped == pytest.approx(0.004)
+
+
+def scores_of(errors):
+    """Scores of a view, from medians and capped means by output."""
+    depths = {name: DepthError(median, 0.0, median, capped) for name, (median, capped) in errors.items()}
+    return GeometryScores("points", (GeometryScore("a", depths, 1.0),))
+
+
+def test_the_best_depth_of_a_scene_on_surfaces_keeps_thin_parts(wall):
+    smooth, sharp = DEPTHS[1:]
+    thin = {DEPTH: (0.3, 0.001), smooth: (0.1, 0.03), sharp: (0.2, 0.02)}
+    assert scores_of(thin).best == sharp
+    assert scores_of(thin | {smooth: (0.1, 0.01)}).best == smooth
+    assert scores_of(thin | {DEPTH: (0.05, 0.05)}).best == DEPTH
+    assert scores_of(thin | {smooth: (np.nan, np.nan)}).best == sharp
     assert best_depth(wall, [view()]) == DEPTH
     points = np.float32([[0, 0, WALL], [0.2, 0.1, WALL]])
     assert best_depth(wall, [view(landmarks=lambda: points)] * 3) in DEPTHS

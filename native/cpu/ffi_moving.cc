@@ -4,26 +4,20 @@
 
 #include "ffi_view.h"
 #include "moving.h"
+#include "settling.h"
 
 namespace splatax {
 namespace {
 
 using Keys = ffi::Buffer<ffi::U32>;
 
-// Fields of a scene, of its gradients, or of moments.
-template <class Array>
-struct FieldArrays {
-  Array &means, &quats, &log_scales, &opacity_logits, &sh;
-
-  void check(Checks& checks, int64_t n, int64_t k) const {
-    checks.shape("means", means, {n, 3}).shape("quats", quats, {n, 4}).shape("log_scales", log_scales, {n, 3});
-    checks.shape("opacity_logits", opacity_logits, {n}).shape("sh", sh, {n, k, 3});
-  }
-};
-
 // Returns a result that holds an argument. XLA gives both one buffer where it can.
 float* held(const FloatArray& from, FloatResult& to) {
-  if (to->typed_data() != from.typed_data()) std::memcpy(to->typed_data(), from.typed_data(), from.size_bytes());
+  if (to->typed_data() != from.typed_data()) {
+    std::memcpy(to->typed_data(), from.typed_data(), from.size_bytes());
+  } else {
+    settling.settle(to->typed_data(), to->size_bytes());
+  }
   return to->typed_data();
 }
 Fields<float> held(const FieldArrays<FloatArray>& from, const FieldArrays<FloatResult>& to) {
@@ -124,7 +118,7 @@ ffi::Error pull_and_move(ffi::ThreadPool threads, FloatArray means, FloatArray q
                          FloatResult new_s_sh, FloatResult d_camera, int64_t thread_limit, int64_t block, int64_t lens,
                          int64_t width, int64_t height, float variance, int64_t fades, float least_fade) {
   const Settings settings{lens, width, height, variance, fades, least_fade};
-  const SceneArrays seen{means, quats, log_scales, opacity_logits, sh, camera};
+  const ViewArrays seen{{means, quats, log_scales, opacity_logits, sh}, camera};
   const MoveArguments arguments{{means, quats, log_scales, opacity_logits, sh},
                                 {m_means, m_quats, m_log_scales, m_opacity_logits, m_sh},
                                 {s_means, s_quats, s_log_scales, s_opacity_logits, s_sh},

@@ -12,11 +12,11 @@ ffi::Error project_forward(ffi::ThreadPool threads, FloatArray means, FloatArray
                            FloatResult depths, FloatResult extents, FloatResult colors, FloatResult opacities, int64_t thread_limit,
                            int64_t lens, int64_t width, int64_t height, float variance, int64_t fades, float least_fade) {
   const Settings settings{lens, width, height, variance, fades, least_fade};
-  const SceneArrays scene{means, quats, log_scales, opacity_logits, sh, camera};
+  const ViewArrays seen{{means, quats, log_scales, opacity_logits, sh}, camera};
   const Batch batch(means2d, 2);
   Checks checks(batch);
   const int64_t fields = settings.check(checks);
-  const auto [n, k] = scene.check(checks, fields);
+  const auto [n, k] = seen.check(checks, fields);
   checks.shape("means2d", means2d, {n, 2}).shape("sqrt_conics", sqrt_conics, {n, 3}).shape("depths", depths, {n});
   checks.shape("extents", extents, {n, 2}).shape("colors", colors, {n, 3}).shape("opacities", opacities, {n});
   if (checks.failed()) return checks.error("project_forward");
@@ -24,7 +24,7 @@ ffi::Error project_forward(ffi::ThreadPool threads, FloatArray means, FloatArray
     all_in_large_pages(means2d, sqrt_conics, depths, extents, colors, opacities);
     Workers workers(threads, thread_limit);
     project(batch.views(), workers, [&](int view) {
-      return ProjectedView{scene.gaussians(batch, view),
+      return ProjectedView{seen.gaussians(batch, view),
                            settings.view(batch.of(camera, view)),
                            {batch.of(means2d, view), batch.of(sqrt_conics, view), batch.of(depths, view),
                             batch.of(extents, view), batch.of(colors, view), batch.of(opacities, view)}};
@@ -39,14 +39,14 @@ ffi::Error project_backward(ffi::ThreadPool threads, FloatArray means, FloatArra
                             FloatResult d_sh, FloatResult d_camera, int64_t thread_limit, int64_t lens, int64_t width, int64_t height,
                             float variance, int64_t fades, float least_fade) {
   const Settings settings{lens, width, height, variance, fades, least_fade};
-  const SceneArrays scene{means, quats, log_scales, opacity_logits, sh, camera};
+  const ViewArrays seen{{means, quats, log_scales, opacity_logits, sh}, camera};
   const Batch batch(d_camera, 1);
   // The gradient of a scene that all views share is summed over them here: `means` and `d_means` have one slice.
   const Batch scenes(d_means, 2);
   const bool summed = batch.views() > 1 && scenes.views() == 1;
   Checks checks(batch), scene_checks(summed ? scenes : batch);
   const int64_t fields = settings.check(checks);
-  const auto [n, k] = scene.check(checks, fields);
+  const auto [n, k] = seen.check(checks, fields);
   checks.shape("extents", extents, {n, 2}).shape("d_means2d", d_means2d, {n, 2});
   checks.shape("d_sqrt_conics", d_sqrt_conics, {n, 3}).shape("d_depths", d_depths, {n});
   checks.shape("d_colors", d_colors, {n, 3}).shape("d_opacities", d_opacities, {n});
@@ -54,10 +54,7 @@ ffi::Error project_backward(ffi::ThreadPool threads, FloatArray means, FloatArra
   scene_checks.shape("d_means", d_means, {n, 3}).shape("d_quats", d_quats, {n, 4});
   scene_checks.shape("d_log_scales", d_log_scales, {n, 3}).shape("d_opacity_logits", d_opacity_logits, {n});
   scene_checks.shape("d_sh", d_sh, {n, k, 3});
-  if (summed) {
-    scene_checks.shape("means", means, {n, 3}).shape("quats", quats, {n, 4}).shape("log_scales", log_scales, {n, 3});
-    scene_checks.shape("opacity_logits", opacity_logits, {n}).shape("sh", sh, {n, k, 3});
-  }
+  if (summed) seen.scene.check(scene_checks, n, k);
   if (checks.failed()) return checks.error("project_backward");
   if (scene_checks.failed()) return scene_checks.error("project_backward");
   return guarded("project_backward", [&] {
@@ -67,7 +64,7 @@ ffi::Error project_backward(ffi::ThreadPool threads, FloatArray means, FloatArra
     const auto view_of = [&](int view) {
       const int slice = summed ? 0 : view;
       return PulledBackView{
-          scene.gaussians(batch, view),
+          seen.gaussians(batch, view),
           settings.view(batch.of(camera, view)),
           {batch.of(d_means2d, view), batch.of(d_sqrt_conics, view), batch.of(d_depths, view), batch.of(d_colors, view),
            batch.of(d_opacities, view), batch.of(extents, view)},
@@ -86,11 +83,11 @@ ffi::Error project_forward_mode(ffi::ThreadPool threads, FloatArray means, Float
                                 int64_t lens, int64_t width, int64_t height, float variance, int64_t fades,
                                 float least_fade) {
   const Settings settings{lens, width, height, variance, fades, least_fade};
-  const SceneArrays scene{means, quats, log_scales, opacity_logits, sh, camera};
+  const ViewArrays seen{{means, quats, log_scales, opacity_logits, sh}, camera};
   const Batch batch(d_depths, 1);
   Checks checks(batch);
   const int64_t fields = settings.check(checks);
-  const auto [n, k] = scene.check(checks, fields);
+  const auto [n, k] = seen.check(checks, fields);
   // What does not move has an empty tangent.
   const auto moves = [&](const FloatArray& tangent) {
     const auto size = tangent.dimensions();
@@ -112,7 +109,7 @@ ffi::Error project_forward_mode(ffi::ThreadPool threads, FloatArray means, Float
     // Directions at the same scene and camera share what they have in common.
     std::map<std::array<const float*, 7>, PushedView> views_at;
     for (int64_t view = 0; view < batch.views(); ++view) {
-      const Gaussians at = scene.gaussians(batch, view);
+      const Gaussians at = seen.gaussians(batch, view);
       const float *own = batch.of(camera, view), *reach = batch.of(extents, view);
       PushedView& group = views_at[{at.means, at.quats, at.log_scales, at.opacity_logits, at.sh, own, reach}];
       group.gaussians = at, group.view = settings.view(own), group.extents = reach;

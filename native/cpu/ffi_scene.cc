@@ -1,6 +1,5 @@
 // XLA custom calls of a batch of views of one scene.
-#include "ffi.h"
-#include "harmonics.h"
+#include "ffi_fields.h"
 #include "scene_views.h"
 
 namespace splatax {
@@ -9,21 +8,15 @@ namespace {
 SceneMemories memories;
 
 // Arrays of a scene, with the cameras of the batch.
-struct SceneArrays {
-  const FloatArray &means, &quats, &log_scales, &opacity_logits, &sh, &cameras;
+struct ViewsArrays {
+  FieldArrays<FloatArray> scene;
+  FloatArray& cameras;
 
   // Checks them against each other; returns the numbers of Gaussians, SH coefficients and views.
   std::array<int64_t, 3> check(Checks& checks) const {
-    const auto [n, k, three] = checks.sizes<3>("sh", sh);
+    const auto [n, k] = check_scene(checks, scene);
     const auto [v, fields] = checks.sizes<2>("cameras", cameras);
-    checks.range("the number of Gaussians", n, 0, MOST_ROWS);
-    checks.range("the number of SH coefficients", k, 1, MAX_COEFFICIENTS).shape("sh", sh, {n, k, 3});
-    int64_t bands = 1;
-    while (bands * bands < k) ++bands;
-    checks.range("the number of SH coefficients", k, bands * bands, bands * bands);
-    checks.shape("means", means, {n, 3}).shape("quats", quats, {n, 4}).shape("log_scales", log_scales, {n, 3});
-    checks.shape("opacity_logits", opacity_logits, {n}).shape("cameras", cameras, {v, CAMERA_FIELDS});
-    checks.range("the number of views", v, 0, MOST_ROWS);
+    checks.range("the number of views", v, 0, MOST_ROWS).shape("cameras", cameras, {v, CAMERA_FIELDS});
     return {n, k, v};
   }
 };
@@ -46,12 +39,13 @@ std::array<int64_t, 3> check_images(Checks& checks, int64_t views, const std::ar
   return {h, w, c};
 }
 
-SceneViews views_of(const SceneArrays& arrays, const std::array<int64_t, 3>& scene, const std::array<int64_t, 3>& image,
+SceneViews views_of(const ViewsArrays& arrays, const std::array<int64_t, 3>& sizes, const std::array<int64_t, 3>& image,
                     const Options& options) {
-  const auto [n, k, v] = scene;
+  const auto [n, k, v] = sizes;
   const auto [h, w, c] = image;
-  const Gaussians gaussians{arrays.means.typed_data(),          arrays.quats.typed_data(), arrays.log_scales.typed_data(),
-                            arrays.opacity_logits.typed_data(), arrays.sh.typed_data(),    static_cast<int>(n),
+  const auto& [means, quats, log_scales, opacity_logits, sh] = arrays.scene;
+  const Gaussians gaussians{means.typed_data(),          quats.typed_data(), log_scales.typed_data(),
+                            opacity_logits.typed_data(), sh.typed_data(),    static_cast<int>(n),
                             static_cast<int>(k)};
   const View settings{nullptr,          LensKind::PINHOLE,  static_cast<int>(w),   static_cast<int>(h),
                       options.variance, options.fades != 0, options.least_fade};
@@ -61,7 +55,7 @@ SceneViews views_of(const SceneArrays& arrays, const std::array<int64_t, 3>& sce
 ffi::Error scene_forward(ffi::ThreadPool threads, FloatArray means, FloatArray quats, FloatArray log_scales,
                          FloatArray opacity_logits, FloatArray sh, FloatArray cameras, FloatResult sums, FloatResult alpha,
                          int64_t thread_limit, int64_t max_pairs, float variance, int64_t fades, float least_fade) {
-  const SceneArrays arrays{means, quats, log_scales, opacity_logits, sh, cameras};
+  const ViewsArrays arrays{{means, quats, log_scales, opacity_logits, sh}, cameras};
   Checks checks;
   const auto scene = arrays.check(checks);
   const auto image = check_images(checks, scene[2], checks.sizes<4>("sums", sums), max_pairs);
@@ -81,7 +75,7 @@ ffi::Error scene_backward(ffi::ThreadPool threads, FloatArray means, FloatArray 
                           FloatArray d_sums, FloatArray d_alpha, FloatResult d_means, FloatResult d_quats,
                           FloatResult d_log_scales, FloatResult d_opacity_logits, FloatResult d_sh, FloatResult d_cameras,
                           int64_t thread_limit, int64_t max_pairs, float variance, int64_t fades, float least_fade) {
-  const SceneArrays arrays{means, quats, log_scales, opacity_logits, sh, cameras};
+  const ViewsArrays arrays{{means, quats, log_scales, opacity_logits, sh}, cameras};
   Checks checks;
   const auto scene = arrays.check(checks);
   const auto image = check_images(checks, scene[2], checks.sizes<4>("sums", sums), max_pairs);

@@ -1,8 +1,7 @@
 // Arrays of a scene and a camera from XLA, and the settings of a view, with their checks.
 #pragma once
 
-#include "ffi.h"
-#include "harmonics.h"
+#include "ffi_fields.h"
 #include "projection.h"
 
 namespace splatax {
@@ -27,29 +26,24 @@ struct Settings {
 };
 
 // Arrays of a scene and a camera.
-struct SceneArrays {
-  const FloatArray &means, &quats, &log_scales, &opacity_logits, &sh, &camera;
+struct ViewArrays {
+  FieldArrays<FloatArray> scene;
+  FloatArray& camera;
 
   // Checks them against each other; returns the numbers of Gaussians and SH coefficients.
   std::array<int64_t, 2> check(Checks& checks, int64_t camera_numbers) const {
-    const auto [n, k, three] = checks.sizes<3>("sh", sh);
-    checks.range("the number of Gaussians", n, 0, MOST_ROWS);
-    checks.range("the number of SH coefficients", k, 1, MAX_COEFFICIENTS).shape("sh", sh, {n, k, 3});
-    int64_t bands = 1;
-    while (bands * bands < k) ++bands;
-    checks.range("the number of SH coefficients", k, bands * bands, bands * bands);
-    checks.shape("means", means, {n, 3}).shape("quats", quats, {n, 4}).shape("log_scales", log_scales, {n, 3});
-    checks.shape("opacity_logits", opacity_logits, {n}).shape("camera", camera, {camera_numbers});
-    return {n, k};
+    const auto sizes = check_scene(checks, scene);
+    checks.shape("camera", camera, {camera_numbers});
+    return sizes;
   }
 
   Gaussians gaussians(const Batch& batch, int64_t view) const {
-    const auto size = sh.dimensions();
-    return {batch.of(means, view),
-            batch.of(quats, view),
-            batch.of(log_scales, view),
-            batch.of(opacity_logits, view),
-            batch.of(sh, view),
+    const auto size = scene.sh.dimensions();
+    return {batch.of(scene.means, view),
+            batch.of(scene.quats, view),
+            batch.of(scene.log_scales, view),
+            batch.of(scene.opacity_logits, view),
+            batch.of(scene.sh, view),
             static_cast<int>(size[batch.rank()]),
             static_cast<int>(size[batch.rank() + 1])};
   }

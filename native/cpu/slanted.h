@@ -13,25 +13,33 @@
 
 namespace splatax {
 
-struct SlantedRow {
+// Channels of one walk: GROUP for colours, WIDE_GROUP for what penalties on geometry blend. Others are zeros.
+constexpr int WIDE_GROUP = 12;
+
+struct SlantedShape {
   float x, y, u, v, w, level, gx, gy, a, b, c, blur;
-  float channels[GROUP];  // those of the splat, and zeros
 };
-static_assert(sizeof(SlantedRow) == 64, "one cache line");
-constexpr int SLANTED_ROW = sizeof(SlantedRow) / sizeof(float);
+template <int C>
+struct SlantedRow : SlantedShape {
+  float channels[C];
+};
+static_assert(sizeof(SlantedRow<GROUP>) == 64, "one cache line");
+constexpr int SLANTED_SHAPE = sizeof(SlantedShape) / sizeof(float);  // floats of a row before its channels
 
 // Sums over pixels for a splat. With g = alpha dL/d alpha, k = g / (m^2 + d^T H d) and l = k q, both 0 where the
 // blur is drawn, and e = g there:
 //
 //   g,  k dx, k dy, k dx^2, k dx dy, k dy^2,  l, l dx, l dy, l dx^2, l dx dy, l dy^2,  e dx, e dy,
-//   dL/d channels (GROUP),  |dL/dx|, |dL/dy| from numbers that are scaled as above
-constexpr int SLANTED_SUMS = 20;
+//   dL/d channels,  |dL/dx|, |dL/dy| from numbers that are scaled as above
+constexpr int SLANTED_MOMENTS = 14;
+constexpr int slanted_sums(int channels) { return SLANTED_MOMENTS + channels + 2; }
 
-// `image.sums` has GROUP channels.
+// `input.channel_count` is SLANTED_SHAPE and the channels of a walk, and `image.sums` has those channels.
 void slanted(const Input& input, const Image& image, Workers& workers, Scratch& scratch, int64_t max_pairs);
 
-// `sums`: [count SLANTED_SUMS]; the last two are zeros unless `pulled`.
+// `sums`: `slanted_sums` floats for each splat; the last two are zeros unless `pulled`, which needs GROUP channels.
+// `binned`: as in `rasterize_gradient`.
 void slanted_gradient(const Input& input, const Cotangents& cotangents, bool pulled, float* sums, Workers& workers,
-                      Scratch& scratch, int64_t max_pairs);
+                      Scratch& scratch, bool binned, int64_t max_pairs);
 
 }  // namespace splatax

@@ -13,12 +13,14 @@ from splatax.errors import DatasetError
 from splatax.gaussians import Gaussians
 from splatax.rendering import Renderer
 
-DEPTHS = ("median_depth", "surface_depth", "median_surface_depth")  # outputs that are compared
-DEPTH = DEPTHS[0]  # which meshes are made from if there is nothing to choose the best by
+DEPTH = "median_depth"  # which meshes are made from if there is nothing to choose the best by
+OF_PLANES = ("surface_depth", "median_surface_depth")
+DEPTHS = (DEPTH, *OF_PLANES)  # outputs that are compared
 NORMALS = "normals"
 ENOUGH = 8  # views from which the best depth is chosen
 HALF = 0.5  # least alpha of a pixel whose depth counts
-DEPTH_MEASURES = ("error", "bias", "relative_error")  # names of the fields of `DepthError` in files
+CAP = 0.05  # most that one depth adds to the mean of relative errors
+DEPTH_MEASURES = ("error", "bias", "relative_error", "capped_error")  # fields of `DepthError` in files
 Reference = Literal["truth", "points"]
 PROTOCOL = {  # how errors of geometry are computed, in words
     "truth": "pixels that have a true depth and are at least half opaque in the rendering; medians over the "
@@ -40,11 +42,14 @@ class DepthError(NamedTuple):
         median: median of the absolute error, world units.
         bias: median of the error, world units; positive where the scene is too far.
         relative: median of the absolute error divided by the depth.
+        capped: mean of the absolute error divided by the depth, where each depth counts at most 5 %. Unlike
+            the medians, it sees thin parts, which are a small fraction of the depths.
     """
 
     median: float
     bias: float
     relative: float
+    capped: float
 
 
 @dataclass(frozen=True)
@@ -90,16 +95,24 @@ class GeometryScores:
 
     @property
     def best(self) -> str:
-        """The output whose depth has the smallest error."""
-        errors = {output: error.median for output, error in self.mean.depths.items()}
-        return min(errors, key=lambda output: np.nan_to_num(errors[output], nan=np.inf))
+        """The output from which meshes are best made.
+
+        The median of the error decides whether it is the depth of centres or one of planes, and the capped
+        mean between those of planes: thin parts, which one of them loses, are a small fraction of a view.
+        """
+        errors = self.mean.depths
+        closest = min(errors, key=lambda output: np.nan_to_num(errors[output].median, nan=np.inf))
+        if closest not in OF_PLANES:
+            return closest
+        return min(OF_PLANES, key=lambda output: np.nan_to_num(errors[output].capped, nan=np.inf))
 
 
 def best_depth(gaussians: Gaussians, views: Sequence[View], renderer: Renderer = Renderer()) -> str:
     """Returns the output whose depth agrees best with the landmarks of some views.
 
     It is "median_depth" if there are no landmarks. Scenes that were trained only on colours have the best
-    depth in "median_depth"; those that were trained for surfaces have it in the depths of surfaces.
+    depth in "median_depth"; those that were trained for surfaces have it in the depths of surfaces:
+    "median_surface_depth" if they have thin parts or many edges, else "surface_depth".
     """
     chosen = views[:: -(-len(views) // ENOUGH) or 1]
     scores = against_landmarks(gaussians, chosen, renderer)
@@ -208,10 +221,11 @@ def depth_error(found: Float[np.ndarray, " n"], expected: Float[np.ndarray, " n"
     """Returns the errors of depths; those that are 0 were not found and do not count."""
     known = found > 0
     if not known.any():
-        return DepthError(np.nan, np.nan, np.nan)
+        return DepthError(np.nan, np.nan, np.nan, np.nan)
     error = found[known].astype(np.float64) - expected[known]
-    measures = np.abs(error), error, np.abs(error) / expected[known]
-    return DepthError(*(float(np.median(values)) for values in measures))
+    relative = np.abs(error) / expected[known]
+    median, bias, middle = (float(np.median(values)) for values in (np.abs(error), error, relative))
+    return DepthError(median, bias, middle, float(np.mean(np.minimum(relative, CAP))))
 
 
 def _mean(values: Iterable[float]) -> float:

@@ -11,14 +11,27 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scenes import camera_at, random_gaussians, random_splats
+from splatax.along_rays import squared_distances
 from splatax.backends import cpu, reference
-from splatax.backends.cpu import library
-from splatax.rendering import render
+from splatax.backends.cpu import library, slanted
+from splatax.low_pass import AlongRays
+from splatax.rendering import project, render
+from splatax.splats import MIN_ALPHA
+from splatax.surfaces import pixel_centers
 
 pytestmark = pytest.mark.skipif(
     cpu.BEST.why_unavailable() is not None, reason=f"no native library: {cpu.BEST.why_unavailable()}"
 )
 SCENE = random_splats(7, n=600, size=(70, 53), sigma=(1, 12))
+
+
+def along_rays(flat=True, n=400):
+    """Discs, or Gaussians, of all shapes and sizes, near the camera too."""
+    gaussians = random_gaussians(n=n, degree=0, spread=1.5, scale=(0.005, 0.3))
+    if flat:
+        gaussians = replace(gaussians, log_scales=gaussians.log_scales.at[:, 2].set(-jnp.inf))
+    camera = camera_at((0.3, -0.2, -2.0), size=(70, 53), focal=60.0)
+    return project(gaussians, camera, low_pass=AlongRays(), backend="reference")
 
 
 @partial(jax.jit, static_argnames="backend")
@@ -43,6 +56,52 @@ def test_any_number_of_threads_gives_the_same_bits(threads, width):
         assert_array_equal(a, b)
 
 
+@pytest.mark.parametrize("width", [3, 9])
+def test_splats_along_rays_have_the_same_bits_on_any_number_of_threads(width):
+    splats = along_rays()
+    channels = jnp.asarray(np.random.default_rng(1).normal(size=(400, width)), jnp.float32)
+    everything = image_and_gradient(splats, cpu.BEST, channels)
+    for threads in (1, 3):
+        for a, b in zip(
+            everything, image_and_gradient(splats, cpu.kernels(threads=threads), channels), strict=True
+        ):
+            assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("width", [3, 9])
+def test_rounds_change_no_image_of_splats_along_rays(width):
+    splats = along_rays()
+    channels = jnp.asarray(np.random.default_rng(1).normal(size=(400, width)), jnp.float32)
+    at_once = image_and_gradient(splats, channels=channels)
+    in_rounds = image_and_gradient(splats, cpu.kernels(max_pairs=100), channels)
+    assert_array_equal(in_rounds[0], at_once[0])
+    assert_array_equal(in_rounds[1], at_once[1])
+    for a, b in zip(in_rounds, at_once, strict=True):
+        assert_allclose(a, b, atol=2e-5 * max(np.abs(b).max(), 1))
+
+
+@pytest.mark.parametrize("flat", [False, True])
+def test_hulls_hold_the_pixels_of_splats_along_rays_and_little_more(flat):
+    splats = along_rays(flat)
+    pixels = pixel_centers(70, 53, jnp.dtype("float32")).reshape(-1, 2)
+    centers, roots, extents = slanted.hulls_of(splats)
+    areas = []
+    for i in np.flatnonzero(np.asarray(splats.extents[:, 0]) > 0):
+        shapes = (rows[i][None] for rows in (splats.sqrt_conics, splats.slants))
+        shapes = (jnp.broadcast_to(row, (len(pixels), row.shape[1])) for row in shapes)
+        q = squared_distances(pixels - splats.means2d[i][None], *shapes)
+        drawn = np.asarray(splats.opacities[i] * jnp.exp(-q / 2)) >= MIN_ALPHA
+        dx, dy = np.asarray(pixels - centers[i][None]).T
+        u, v, w = np.asarray(roots[i])
+        reach = 2 * np.log(float(splats.opacities[i]) / MIN_ALPHA)
+        inside = (u * dx + v * dy) ** 2 + (w * dy) ** 2 <= 1.001 * reach
+        inside &= (np.abs(np.stack([dx, dy])) <= np.asarray(extents[i])[:, None] * 1.001).all(axis=0)
+        assert (inside | ~drawn).all()
+        areas.append((drawn.sum(), inside.sum()))
+    drawn, inside = np.sum(areas, axis=0)
+    assert inside < 3 * drawn
+
+
 @pytest.mark.parametrize("other", [cpu.kernels(threads=1), cpu.kernels(max_pairs=100)])
 def test_pull_depends_neither_on_threads_nor_on_rounds(other):
     watched = replace(SCENE, pull=jnp.zeros_like(SCENE.means2d))
@@ -65,6 +124,23 @@ def test_rounds_change_nothing_that_is_drawn(width):
     assert_array_equal(in_rounds[1], at_once[1])
     for a, b in zip(in_rounds, at_once, strict=True):
         assert_allclose(a, b, atol=2e-5 * max(np.abs(b).max(), 1))
+
+
+@pytest.mark.parametrize("pulled", [False, True])
+def test_a_gradient_has_the_same_bits_whether_or_not_the_lists_of_its_image_are_kept(pulled):
+    opaque = replace(
+        SCENE, opacities=jnp.linspace(0.01, 1, 600, dtype=jnp.float32)
+    )  # many pixels are finished
+    pull = jnp.zeros_like(SCENE.means2d) if pulled else None
+    image, pull_back = jax.vjp(
+        lambda splats: cpu.BEST.composite(splats, splats.colors), replace(opaque, pull=pull)
+    )
+    assert np.mean(image[1] > 0.999) > 0.2
+    weights = jnp.asarray(np.random.default_rng(0).normal(size=image[0].shape), jnp.float32)
+    kept = pull_back((weights, weights[..., 0]))
+    again = pull_back((weights, weights[..., 0]))  # the first call has used them up
+    for a, b in zip(jax.tree.leaves(kept), jax.tree.leaves(again), strict=True):
+        assert_array_equal(a, b)
 
 
 def test_calls_from_several_python_threads_do_not_disturb_each_other():

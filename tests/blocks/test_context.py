@@ -22,6 +22,7 @@ from splatax.training.feed import Batch
 from splatax.training.geometry import Surfaces
 from splatax.training.initialize import FromBlock
 from splatax.training.loop import first_state, optimize
+from splatax.training.priors import Sparsity
 from splatax.training.recipes import ShSchedule, classic, default
 from splatax.training.step import compare
 
@@ -83,6 +84,24 @@ def test_gradients_in_context_are_those_of_the_whole_scene(low_pass, surfaces):
     (d_own, _), (d_whole, _) = (each.pull_back(each.d_shown) for each in (found, expected))
     for own, all_rows in zip(jax.tree.leaves(d_own), jax.tree.leaves(d_whole), strict=True):
         np.testing.assert_allclose(own, all_rows[: len(OWN)], atol=1e-6, rtol=1e-4)
+
+
+HIDDEN = cloud(2, 40, (-1, -1, -9), (0, 1, -8))  # behind all cameras
+
+
+@pytest.mark.parametrize("views", [1, 2])
+def test_a_prior_is_a_mean_over_the_gaussians_of_the_whole_scene(views):
+    """A block of half of the Gaussians has the moments that they have in a run of all of them."""
+    dataset = capture(block=Block(OWN, HIDDEN, fraction=0.5))
+    whole = replace(dataset, block=Block(joined([OWN, HIDDEN]), HIDDEN))
+    moments = []
+    for captured in (dataset, whole):
+        how = recipe(views=views)
+        how = replace(how, objective=replace(how.objective, prior=Sparsity(opacity=5.0)))
+        adam, *_ = next(optimize(captured, how)).state.train.opt_state
+        moments.append(np.asarray(adam.mu.opacity_logits[: len(OWN)]))
+    np.testing.assert_allclose(*moments, rtol=1e-4, atol=1e-7)
+    assert np.abs(moments[0]).min() > 0
 
 
 @pytest.mark.parametrize("views", [1, 2])

@@ -16,11 +16,12 @@ import splatax as sx
 from splatax import backends, cli, lpips
 from splatax.cli import render
 from splatax.cli.blocks import PlanBlocks
+from splatax.cli.commands import COMMANDS
 from splatax.cli.reconstruct import FindingCameras, Reconstruct
 from splatax.cli.settings import Settings
 from splatax.training.backgrounds import Solid
 from splatax.training.geometry import Surfaces
-from splatax.training.initialize import InFrusta
+from splatax.training.initialize import InFrusta, WithSky
 from splatax.training.recipes import PRESETS, room_for
 
 SPLIT = ("photo04.png",)  # every 8th of nine, from the 5th
@@ -69,6 +70,8 @@ def test_options_decide_over_the_recipe_and_nothing_else_does(capture):
     assert recipe.drawing.background == Solid((1.0, 1.0, 1.0))
     surfaces = Settings(capture, geometry=True).to_recipe(dataset)
     assert surfaces == replace(plain, objective=replace(plain.objective, geometry=Surfaces()))
+    sky = Settings(capture, sky=True).to_recipe(dataset)
+    assert sky == replace(plain, initialization=WithSky(plain.initialization))
     classic = Settings(capture, recipe="classic").to_recipe(dataset)
     assert classic == PRESETS["classic"].build().on(plain.drawing.backend)
 
@@ -215,6 +218,35 @@ def test_help_is_wrapped_for_the_terminal_and_not_as_in_its_source(monkeypatch, 
     for option in options:
         for described in docstring_parser.parse_from_object(option).params:
             assert " ".join(described.description.split()) in said
+
+
+LISTED = """
+import sys
+from splatax.cli import main
+try:
+    main(["--help"])
+finally:
+    print("loaded:", *{"jax", "pycolmap", "matplotlib"} & sys.modules.keys(), file=sys.stderr)
+"""
+
+
+def test_the_list_of_commands_is_shown_without_importing_any():
+    done = subprocess.run([sys.executable, "-c", LISTED], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "loaded:\n")
+    assert all(name in done.stdout for name in COMMANDS)
+
+
+def test_the_list_describes_each_command_by_the_first_line_of_its_help():
+    for command in COMMANDS.values():
+        assert command.load().__doc__.splitlines()[0] == command.summary
+
+
+def test_an_option_of_another_command_is_found_for_the_user(capsys):
+    with pytest.raises(SystemExit):
+        cli.main(["eval", "run", "capture", "--steps", "6"])
+    error = capsys.readouterr().err
+    assert "--steps" in error
+    assert "train" in error
 
 
 def test_python_m_splatax_is_the_command():

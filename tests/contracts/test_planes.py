@@ -1,6 +1,7 @@
 """Planes of Gaussians: native code finds them, and differentiates them, as the formulas in float64 do."""
 
 from dataclasses import replace
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -40,14 +41,31 @@ def view(lens=Pinhole()):
     return replace(camera_at((0.4, -0.3, -2.5), size=(41, 35), focal=40.0), lens=lens)
 
 
+@cache
 def rows_of(low_pass, dtype=np.float32, n=N):
     """The rows of a view, as a kernel gets them; flatter Gaussians would feel the rounding."""
     gaussians, found = scene(n), []
     gaussians = replace(gaussians, log_scales=jnp.maximum(gaussians.log_scales, -4))
     splats = project(gaussians, view(), low_pass=low_pass, backend="reference")
-    with jax.disable_jit():
-        planes(gaussians, view(), splats, lambda rows: found.append(rows) or planes_of_rows(rows))
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), found[0])
+
+    @jax.jit
+    def rows():
+        planes.__wrapped__(gaussians, view(), splats, lambda rows: found.append(rows) or planes_of_rows(rows))
+        return found.pop()
+
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), rows())
+
+
+@partial(jax.jit, static_argnames="find")
+def pushed(rows, directions, find=planes_of_rows):
+    """The planes, and their tangents in a direction."""
+    return jax.jvp(find, (rows,), (directions,))
+
+
+@partial(jax.jit, static_argnames="find")
+def pulled(rows, cotangents, find=planes_of_rows):
+    """The gradient of the planes, weighted with cotangents, in the rows."""
+    return jax.vjp(find, rows)[1](cotangents)[0]
 
 
 def like(tree, seed):
@@ -63,9 +81,7 @@ def moved(rows, directions, by):
 
 def smooth(rows, directions, reach=1e-3):
     """Visible rows between whose planes, a small step apart, there is no kink of a limit or of the axis."""
-    here, *others = (
-        jax.jvp(planes_of_rows, (moved(rows, directions, by),), (directions,))[1] for by in (0, reach, -reach)
-    )
+    here, *others = (pushed(moved(rows, directions, by), directions)[1] for by in (0, reach, -reach))
     near = [
         np.abs(a - b).max(axis=1) <= 0.1 * np.abs(b).max(axis=1) + 1e-9
         for other in others
@@ -101,8 +117,8 @@ def test_the_formulas_have_the_derivatives_of_finite_differences(x64, low_pass):
     directions, step = like(rows, 1), 1e-7
     kept = smooth(rows, directions)
     assert kept.sum() > 20
-    tangents = jax.jvp(planes_of_rows, (rows,), (directions,))[1]
-    ahead, back = (planes_of_rows(moved(rows, directions, by)) for by in (step, -step))
+    tangents = pushed(rows, directions)[1]
+    ahead, back = (pushed(moved(rows, directions, by), directions)[0] for by in (step, -step))
     for tangent, a, b in zip(tangents, ahead, back, strict=True):
         assert_allclose(*relative(tangent, (a - b) / (2 * step), kept), atol=1e-4)
 
@@ -111,17 +127,17 @@ def test_the_formulas_have_the_derivatives_of_finite_differences(x64, low_pass):
 def test_native_tangents_and_gradients_are_those_of_the_formulas_in_float64(native, x64, low_pass):
     rows = rows_of(low_pass)
     directions = like(rows, 1)
-    found, tangents = jax.jvp(native, (rows,), (directions,))
+    found, tangents = pushed(rows, directions, native)
     rng = np.random.default_rng(2)
     cotangents = tuple(jnp.asarray(rng.normal(size=leaf.shape), leaf.dtype) for leaf in found)
-    (gradients,) = jax.vjp(native, rows)[1](cotangents)
+    gradients = pulled(rows, cotangents, native)
     wide = jax.tree.map(lambda leaf: leaf.astype(jnp.float64), (rows, directions, cotangents))
     kept = smooth(*wide[:2])
     assert kept.sum() > 20
-    expected = jax.jvp(planes_of_rows, wide[:1], wide[1:2])[1]
+    expected = pushed(*wide[:2])[1]
     for a, b in zip(tangents, expected, strict=True):
         assert_allclose(*relative(a, b, kept), atol=1e-3)
-    (true,) = jax.vjp(planes_of_rows, wide[0])[1](wide[2])
+    true = pulled(wide[0], wide[2])
     for name, a, b in zip(true._fields[:-1], gradients, true, strict=False):
         if b.size:
             assert_allclose(*relative(a, b, kept), atol=2e-3, err_msg=name)
@@ -174,14 +190,16 @@ def test_second_derivatives_are_those_of_the_formulas(native):
         scored = jnp.where(kept[:, None], jnp.concatenate([slopes**2, normals**3, axes**3], axis=1), 0)
         return jnp.sum(scored)
 
-    def hessian_product(kernel):
+    def hessian_product(rows, kernel):
         return jax.jvp(lambda rows: jax.grad(energy)(rows, kernel), (rows,), (directions,))[1]
 
-    def other_way(kernel):  # reverse over forward
+    def other_way(rows, kernel):  # reverse over forward
         return jax.grad(lambda r: jax.jvp(lambda x: energy(x, kernel), (r,), (directions,))[1])(rows)
 
-    for product in (hessian_product, other_way):
-        for name, a, b in zip(rows._fields, product(native), product(planes_of_rows), strict=True):
+    for product in (jax.jit(way, static_argnums=1) for way in (hessian_product, other_way)):
+        for name, a, b in zip(
+            rows._fields, product(rows, native), product(rows, planes_of_rows), strict=True
+        ):
             if a.size:
                 assert_allclose(*relative(a, b, kept), atol=2e-2, err_msg=name)
 

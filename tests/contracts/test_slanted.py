@@ -26,16 +26,25 @@ def view(flat, n=150, dtype=np.float32):
 
 
 @partial(jax.jit, static_argnames="backend")
-def derivatives(splats, cotangent, backend):
+def derivatives(splats, cotangent, backend, channels=None):
+    """The image and its gradients. The channels are the colours, with `pull`, unless others are given."""
+
     def loss(splats, channels):
         image, alpha = composite(splats, channels, backend=backend)
-        return jnp.sum(cotangent[..., :3] * image) + jnp.sum(cotangent[..., 3] * alpha), (image, alpha)
+        return jnp.sum(cotangent[..., :-1] * image) + jnp.sum(cotangent[..., -1] * alpha), (image, alpha)
 
-    watched = replace(splats, pull=jnp.zeros_like(splats.means2d))
-    (_, image), (d_splats, d_channels) = jax.value_and_grad(loss, (0, 1), has_aux=True)(
-        watched, splats.colors
-    )
-    return image, {name: getattr(d_splats, name) for name in FIELDS} | {"channels": d_channels}
+    watched = replace(splats, pull=jnp.zeros_like(splats.means2d)) if channels is None else splats
+    channels = splats.colors if channels is None else channels
+    (_, image), (d_splats, d_channels) = jax.value_and_grad(loss, (0, 1), has_aux=True)(watched, channels)
+    gradients = {name: getattr(d_splats, name) for name in FIELDS} | {"channels": d_channels}
+    return image, {name: value for name, value in gradients.items() if value is not None}
+
+
+def assert_gradients_close(found, expected):
+    for name, value in expected.items():
+        each = np.abs(np.asarray(value)).reshape(len(value), -1).max(axis=1)  # sums of squares of pixels
+        error = np.abs(np.asarray(found[name] - value)).reshape(len(value), -1).max(axis=1)
+        assert (error <= 2e-3 * each + 2e-4 * np.median(each) + 1e-6).all(), name
 
 
 @pytest.mark.parametrize("flat", [False, True])
@@ -46,10 +55,19 @@ def test_images_and_gradients_are_those_of_the_reference(fast, flat):
     (image_true, alpha_true), gradients_true = derivatives(splats, cotangent, "reference")
     assert_allclose(image, image_true, atol=2e-5)
     assert_allclose(alpha, alpha_true, atol=2e-5)
-    for name, value in gradients_true.items():
-        each = np.abs(np.asarray(value)).reshape(len(value), -1).max(axis=1)  # sums of squares of pixels
-        error = np.abs(np.asarray(gradients[name] - value)).reshape(len(value), -1).max(axis=1)
-        assert (error <= 2e-3 * each + 2e-4 * np.median(each) + 1e-6).all(), name
+    assert_gradients_close(gradients, gradients_true)
+
+
+@pytest.mark.parametrize("count", [9, 17])
+def test_many_channels_have_the_images_and_gradients_of_the_reference(fast, count):
+    splats, rng = view(True, n=100), np.random.default_rng(0)
+    channels = jnp.asarray(rng.normal(size=(100, count)), jnp.float32)
+    cotangent = jnp.asarray(rng.normal(size=(35, 41, count + 1)), jnp.float32)
+    (image, alpha), gradients = derivatives(splats, cotangent, fast, channels)
+    (image_true, alpha_true), gradients_true = derivatives(splats, cotangent, "reference", channels)
+    assert_allclose(image, image_true, atol=5e-5)
+    assert_allclose(alpha, alpha_true, atol=2e-5)
+    assert_gradients_close(gradients, gradients_true)
 
 
 def test_selection_is_that_of_the_reference(fast):

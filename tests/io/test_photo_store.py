@@ -3,6 +3,7 @@
 import os
 import shutil
 from collections import namedtuple
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from PIL import Image
 
 import splatax as sx
 from captures import radial, write_capture
+from splatax.dataset import Edited
 from splatax.io import photo_store
 from splatax.io.datasets import decoding
 from splatax.io.memory import Allowance
@@ -47,6 +49,18 @@ def test_photos_and_masks_from_disk_are_those_of_the_capture(tmp_path, store, un
     again, _ = kept_on_disk(sx.load_dataset(folder, undistort=undistort).views, store)
     assert contents(again) == expected
     assert isinstance(again[0].pixels(), np.memmap)
+
+
+def test_a_photo_is_kept_as_it_is_decoded_and_changed_when_it_is_read(tmp_path, store):
+    view = sx.load_dataset(write_capture(tmp_path / "capture", 1)).views[0]
+    before = view.pixels()
+    inverted = replace(view, pixels=Edited(view.pixels, lambda pixels: 255 - pixels))
+    kept, use = kept_on_disk((inverted,), store)
+    assert use.kept == 1
+    for _ in range(2):  # written, then read
+        np.testing.assert_array_equal(kept[0].pixels(), 255 - before)
+    (file,) = store.folder.iterdir()
+    np.testing.assert_array_equal(np.load(file), before)
 
 
 def test_a_photo_that_changed_or_has_another_size_or_lens_is_another(tmp_path):

@@ -16,8 +16,9 @@ from splatax.training.backgrounds import BACKGROUNDS, Solid
 from splatax.training.density import Classic, NoDensityControl
 from splatax.training.initialize import FromPoints, InFrusta, focus_distance
 from splatax.training.optimizer import LearningRates, without_locked_bands
-from splatax.training.recipes import Drawing, ShSchedule
-from splatax.training.step import photo_over
+from splatax.training.priors import NoPrior
+from splatax.training.recipes import Drawing, ShSchedule, default
+from splatax.training.step import _train_step, photo_over
 
 SIZE = (40, 32)
 
@@ -54,6 +55,20 @@ def run(dataset, recipe):
         (progress.step, float(progress.loss), progress.count, progress)
         for progress in sx.optimize(dataset, recipe)
     ]
+
+
+def test_runs_that_differ_in_length_seed_or_size_share_one_program():
+    dataset = capture(views=3)
+    first = default(steps=3, max_gaussians=90)
+    bands = replace(first, sh=ShSchedule(every=2))
+    others = default(steps=5, max_gaussians=95), replace(first, seed=7), bands
+    sx.fit(dataset, first)
+    traced = _train_step._cache_size()
+    for recipe in others:
+        sx.fit(dataset, recipe)
+    assert _train_step._cache_size() == traced
+    sx.fit(dataset, replace(first, objective=replace(first.objective, prior=NoPrior())))
+    assert _train_step._cache_size() == traced + 1
 
 
 @pytest.fixture(scope="module")

@@ -20,6 +20,8 @@ class Viewer {
   motion = null;
   shown = page.start.camera; // index of the current camera; -1 for a free view
   settled = false; // whether the picture is final
+  opened = false; // whether there is a picture
+  complete = false; // whether the whole scene has been drawn once
 
   constructor() {
     this.stage = new Stage(find('view'), page);
@@ -30,6 +32,7 @@ class Viewer {
 
   async open() {
     await this.stage.load(page.parts, window.file);
+    performance.mark('loaded');
     this.variants.update();
     if (page.autoplay && !CALM) this.play();
     if (this.stage.animation) this.stage.animation.playing = !CALM;
@@ -44,8 +47,9 @@ class Viewer {
       idle = moving ? 0 : idle + 1;
       this.stage.draw(this.pose, idle < 6);
       this.hotspots.place(this.stage.camera, innerWidth, innerHeight, (part) => this.variants.shows(part));
-      this.settled = this.stage.settled;
-      if (this.settled) find('loading').hidden = true;
+      this.settled = this.stage.settled && this.stage.complete;
+      if (this.stage.opened && !this.opened) this.#begin();
+      if (this.settled && !this.complete) this.#finish();
       requestAnimationFrame(frame);
     };
     requestAnimationFrame(frame);
@@ -89,6 +93,21 @@ class Viewer {
   setMode(mode) {
     this.controls.mode = mode;
     update();
+  }
+
+  /** Hides the progress of loading, and loads what the page shows only from now on. */
+  #begin() {
+    this.opened = true;
+    find('loading').hidden = true;
+    performance.mark('opened');
+    if (!find('detail')) return;
+    window.whole.then(() => this.stage.refine(page.parts, window.file)).catch(window.failed);
+  }
+
+  #finish() {
+    this.complete = true;
+    performance.mark('complete');
+    if (find('detail')) find('detail').hidden = true;
   }
 
   #move(motion) {
@@ -175,6 +194,7 @@ find('quality').addEventListener('change', (event) => (viewer.stage.quality = ev
 find('help-text').addEventListener('click', (event) => event.target === find('help-text') && ACTIONS.help());
 find('view').addEventListener('webglcontextlost', () => window.failed('The browser lost the graphics device. Reload the page.'));
 
+performance.mark('viewer');
 update();
 window.viewer = viewer;
 viewer.open().catch((error) => window.failed(error));

@@ -1,24 +1,29 @@
 // The scene on a canvas, rendered by three.js and Spark.
-import { SparkRenderer, SplatMesh } from '@sparkjsdev/spark';
+import { SparkRenderer } from '@sparkjsdev/spark';
 import { Color, Group, PerspectiveCamera, Quaternion, Scene, SRGBColorSpace, Vector3, WebGLRenderer } from 'three';
 import { Animation } from './animation.js';
-import { ColorMap } from './colors.js';
+import { Parts } from './parts.js';
 import { project } from './pose.js';
 
 const FAR = 1e5; // only for clipping: splats are sorted, not depth-tested
 const SHARPEST = 2; // most device pixels per CSS pixel
 export const QUALITIES = { high: 1, medium: 0.7, low: 0.45 }; // fraction of the device's pixels along each axis
 const SLOW = 45; // milliseconds a frame, above which "auto" lowers the resolution while the view moves
+// Smallest splats that level of detail draws, pixels: if the view is still or frames are fast, and if they are slow.
+const FINE = 0.3;
+const COARSE = 2;
+const MARGIN = 20; // degrees around the picture in which splats stay detailed, for turns
 
 export class Stage {
   quality = 'auto';
   settled = false; // whether the frame is final for the last pose
-  #parts = [];
+  opened = false; // whether a frame with splats has been drawn
   #reduced = 1; // current fraction of pixels of "auto", along each axis
   #frames = [];
   #drawn = '';
   #size = '';
   #fence = null; // signalled when the device has drawn the last frame
+  #filled = false; // whether the last frame has splats
   #began = 0;
 
   constructor(canvas, { background, lowPass, near, motion }) {
@@ -40,39 +45,31 @@ export class Stage {
       maxPixelRadius: 1e4,
       accumExtSplats: true,
       covSplats: Boolean(motion), // blended bones shear the splats
-      enableLod: false,
+      enableLod: false, // until `refine`
+      lodRaycast: 0,
       onDirty: () => (this.dirty = true),
     });
     this.scene.add(this.spark);
+    this.parts = new Parts(this.scene, this.spark);
   }
 
-  /** Loads the SPZ files of parts, each once, and places the parts. `open` returns the bytes of a file. */
+  /** Loads the parts, or the previews of those that have one. `open` returns the bytes of a file. */
   async load(parts, open) {
-    const files = {};
-    for (const { file, position, quaternion, scale } of parts) {
-      const source = files[file] ? { extSplats: files[file] } : { fileBytes: await open(file), fileType: 'spz', extSplats: true };
-      const color = new ColorMap();
-      const covSplats = Boolean(this.motion);
-      const mesh = new SplatMesh({ ...source, covSplats, objectModifier: color.modifier, lod: false, raycastable: false });
-      await mesh.initialized;
-      files[file] ??= mesh.extSplats;
-      mesh.position.set(...position);
-      mesh.quaternion.set(...quaternion);
-      mesh.scale.setScalar(scale);
-      if (this.motion) this.animation = new Animation(mesh, this.motion);
-      this.scene.add(mesh);
-      this.#parts.push({ mesh, color });
-    }
+    await this.parts.load(parts, open);
+    if (this.motion) this.animation = new Animation(this.parts.first, this.motion);
+    this.dirty = true;
+  }
+
+  /** Replaces previews by whole files, of which Spark draws what the view needs. */
+  async refine(parts, open) {
+    await this.parts.refine(parts, open);
+    this.spark.enableLod = this.spark.enableDriveLod = parts.some(({ preview }) => preview);
     this.dirty = true;
   }
 
   /** Shows or hides a part, and maps its colours by three rows of four numbers; null keeps them. */
   change(index, visible, rows) {
-    const { mesh, color } = this.#parts[index];
-    const recolored = color.set(rows);
-    if (mesh.visible === visible && !recolored) return;
-    mesh.visible = visible;
-    mesh.updateVersion();
+    if (!this.parts.change(index, visible, rows)) return;
     this.#drawn = ''; // also if the view has not changed
     this.dirty = true;
   }
@@ -87,14 +84,17 @@ export class Stage {
     const ratio = this.#pixelRatio(moving);
     const state = JSON.stringify([width, height, ratio, moving, pose, this.animation?.time]);
     const changed = state !== this.#drawn;
+    if (this.parts.swap()) this.dirty = true;
     this.settled = !changed && !moving && !this.dirty && !this.#busy(moving) && this.#sorted();
     if (!(changed || this.dirty) || !width || !height || this.#busy(moving)) return;
     this.#resize(width, height, ratio);
     this.#place(pose, width / height);
+    this.spark.lodRenderScale = moving && this.#reduced < 1 ? COARSE : FINE;
     this.dirty = false;
     this.#drawn = state;
     if (!moving && changed) this.spark.update(this); // sorts even after the smallest turn
     this.renderer.render(this.scene, this.camera);
+    this.#filled = this.spark.activeSplats > 0;
     const gl = this.renderer.getContext();
     this.#fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     this.#began = performance.now();
@@ -121,7 +121,10 @@ export class Stage {
     renderer.xr.enabled = true;
     renderer.xr.setReferenceSpaceType('local'); // begins at the eyes
     await renderer.xr.setSession(session);
-    renderer.setAnimationLoop(() => renderer.render(scene, camera));
+    renderer.setAnimationLoop(() => {
+      this.parts.swap();
+      renderer.render(scene, camera);
+    });
   }
 
   /** Returns whether the device is still drawing the last frame. */
@@ -131,12 +134,18 @@ export class Stage {
     if (gl.getSyncParameter(this.#fence, gl.SYNC_STATUS) !== gl.SIGNALED) return true;
     gl.deleteSync(this.#fence);
     this.#fence = null;
+    this.opened ||= this.#filled;
     if (moving) this.#judge(performance.now() - this.#began);
     return false;
   }
 
   #sorted() {
     return !this.spark.sorting && !this.spark.sortDirty && this.spark.activeSplats > 0;
+  }
+
+  /** Whether the whole scene has been loaded, and Spark has chosen its level of detail for the last pose. */
+  get complete() {
+    return this.parts.whole && !this.spark.lodDirty && this.spark.lastLod === this.spark.currentLod;
   }
 
   #resize(width, height, ratio) {
@@ -157,7 +166,16 @@ export class Stage {
     camera.near = this.near;
     camera.far = FAR;
     project(camera.projectionMatrix, pose.lens, aspect, this.near, FAR);
+    this.#look(camera.projectionMatrix.elements);
     camera.projectionMatrixInverse.copy(camera.projectionMatrix).invert();
+  }
+
+  /** Tells Spark the angles of view, from which it chooses the level of detail, full in all of the picture. */
+  #look([x, , , , , y]) {
+    const degrees = (tangent) => (360 / Math.PI) * Math.atan(tangent);
+    this.camera.fov = degrees(1 / y);
+    this.spark.coneFov0 = degrees(Math.hypot(1 / x, 1 / y)) + MARGIN;
+    this.spark.coneFov = this.spark.coneFov0 + MARGIN;
   }
 
   #pixelRatio(moving) {
@@ -165,7 +183,7 @@ export class Stage {
     return Math.min(devicePixelRatio, SHARPEST) * fraction;
   }
 
-  /** Lowers the resolution if frames take too long. */
+  /** Lowers resolution and detail if frames take too long. */
   #judge(milliseconds) {
     this.#frames.push(milliseconds);
     if (this.#frames.length < 12) return;

@@ -109,7 +109,7 @@ def _widths(places: Coordinates) -> Float[np.ndarray, "2"]:
 
 def _with_margin(places: Coordinates, box: Box) -> Box:
     inside = box.contains(places)
-    sides = np.maximum(_widths(places[inside]), np.finfo(float).tiny)
+    sides = np.maximum(_widths(places[inside]), np.finfo(np.float32).tiny)
     beyond = np.maximum(np.subtract(box.low, places), places - box.high)
     distances = np.sort(np.max(beyond / sides, axis=1)[~inside])  # in sides
     most = int(MOST_MORE * inside.sum())

@@ -19,6 +19,7 @@ SIDE = 256  # pixels of the pictures, whose proportions do not matter, so that a
 SHOWN = 0.02  # fraction of a picture that a block must fill for the view to be one of its views
 FEWEST = 4  # views of a block; those that show it best, if fewer show so much of it
 SEEN = 0.02  # pixels that a Gaussian must fill in one view of a block to be in its context
+FILLED = 0.5  # fraction of a pixel; if the surroundings of a block fill more, it is not the block's own
 
 
 def weights_in(gaussians: Gaussians, camera: Camera, backend: str | Kernels) -> Float[np.ndarray, " n"]:
@@ -38,6 +39,33 @@ def _weights(gaussians: Gaussians, camera: Camera, kernels: Kernels) -> Float[Ar
 
     # The image of a channel is the sum of weight times channel, so its gradient is the weight.
     return jax.grad(total)(jnp.zeros((len(gaussians), 1), gaussians.means.dtype))[:, 0]
+
+
+def own_pixels(
+    gaussians: Gaussians, outside: Bool[np.ndarray, " n"], camera: Camera, backend: str | Kernels
+) -> Bool[np.ndarray, "s s"]:
+    """Returns which pixels of a small picture are a block's own: all but those that its surroundings fill.
+
+    Pixels that nothing fills belong to all blocks.
+
+    Args:
+        gaussians: the coarse scene.
+        outside: which of them the block does not train.
+        camera: the view.
+        backend: backend that draws the scene.
+    """
+    filled = _filled(gaussians, jnp.asarray(outside), camera.resized(SIDE, SIDE), backends.resolve(backend))
+    return np.asarray(filled) <= FILLED
+
+
+@partial(jax.jit, static_argnames="kernels")
+def _filled(
+    gaussians: Gaussians, rows: Bool[Array, " n"], camera: Camera, kernels: Kernels
+) -> Float[Array, "h w"]:
+    """Returns the sum of the blending weights of some Gaussians at each pixel."""
+    splats = project(gaussians, camera, backend=kernels)
+    channel = rows[:, None].astype(splats.means2d.dtype)
+    return composite(splats, channel, backend=kernels)[0][..., 0]
 
 
 @dataclass(frozen=True)

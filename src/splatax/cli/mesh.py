@@ -52,7 +52,7 @@ class Mesh:
     cameras see."""
     depth: Annotated[Literal["auto", *DEPTHS], shown_as()] = "auto"  # type: ignore[valid-type]
     """Depth output of the scene to fuse. "auto", the default: the one that agrees best with the capture's
-    own points."""
+    own points, also on thin parts."""
     faces: Annotated[int | None, shown_as("N")] = None
     """Simplify to this many faces. By default all are kept; with --collision, 5000."""
     collision: Annotated[bool, shown_as()] = False

@@ -46,6 +46,9 @@ class Page:
     """Colour behind the scene. By default as in training, else black."""
     low_pass: LowPassOption = None
     """Anti-aliasing filter. By default the one that the file names."""
+    lod_above: Annotated[int, shown_as("N")] = web.LOD_ABOVE
+    """Number of Gaussians above which the page opens with a preview of the scene, then draws with level of
+    detail. By default 300,000."""
     overwrite: OverwriteFlag = False
     """Replace the file if it exists."""
 
@@ -57,7 +60,7 @@ class Page:
         model = read_model(self.model, self.low_pass)
         views = load_scene(self.scene, None, model).standpoints if self.scene else ()
         cameras = {view.photo: view.camera for view in views}
-        write_page(self.out, model, cameras, self.title, self.background)
+        write_page(self.out, model, cameras, self.title, self.background, self.lod_above)
 
 
 def is_page(path: Path) -> bool:
@@ -66,7 +69,12 @@ def is_page(path: Path) -> bool:
 
 
 def write_page(
-    out: Path, model: Model, cameras: Mapping[str, Camera], title: str | None, background: str | None
+    out: Path,
+    model: Model,
+    cameras: Mapping[str, Camera],
+    title: str | None,
+    background: str | None,
+    lod_above: int = web.LOD_ABOVE,
 ) -> None:
     """Writes the page of a model, and prints its size.
 
@@ -76,6 +84,7 @@ def write_page(
         cameras: in the same coordinates, by name; may be empty.
         title: without one, the name of the model's folder or file.
         background: without one, as the model was trained.
+        lod_above: number of Gaussians above which the page has a preview and level of detail.
     """
     out.parent.mkdir(parents=True, exist_ok=True)
     web.save(
@@ -84,6 +93,7 @@ def write_page(
         title=title or model.name,
         cameras=cameras,
         background=background_of(model.options, background),
+        lod_above=lod_above,
     )
     size = out.stat().st_size / 1e6
     say(f"{out}: {len(model.gaussians):,} Gaussians, {len(cameras)} cameras, {size:.1f} MB")

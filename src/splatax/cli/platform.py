@@ -5,8 +5,6 @@ import os
 import sys
 from pathlib import Path
 
-import jax
-
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # of glibc's malloc.h
 
 
@@ -15,6 +13,8 @@ def keep_compiled_programs() -> None:
 
     They are kept in the user's cache folder, unless JAX is configured with another folder.
     """
+    import jax  # which takes a second: a list of commands does without
+
     if jax.config.values["jax_compilation_cache_dir"] is None:
         root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
         jax.config.update("jax_compilation_cache_dir", str(Path(root) / "splatax" / "xla"))

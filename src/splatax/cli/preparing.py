@@ -249,7 +249,7 @@ def counted_points(number: int) -> str:
 
 def random_start(dataset: sx.Dataset, settings: Settings) -> str:
     """Returns where random Gaussians begin, in words."""
-    start = settings.initialization()
+    start = replace(settings, sky=False).initialization()
     start = start.start if isinstance(start, Discs) else start
     assert isinstance(start, InFrusta)
     distance = focus_distance([view.camera for view in dataset.train], dataset.extent)

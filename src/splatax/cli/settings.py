@@ -32,7 +32,7 @@ from splatax.training.appearance import APPEARANCES
 from splatax.training.backgrounds import BACKGROUNDS
 from splatax.training.camera_refinement import CAMERA_REFINEMENTS
 from splatax.training.geometry import Surfaces
-from splatax.training.initialize import FromBlock
+from splatax.training.initialize import FromBlock, with_sky
 from splatax.training.photo_weights import PHOTO_WEIGHTS
 from splatax.training.protocols import Initialization
 from splatax.training.recipes import PRESETS, Drawing
@@ -71,6 +71,7 @@ class Settings:
     judged_by: Path | None = None
     recipe: RecipeName = "default"
     init: InitName = "sfm"
+    sky: bool = False
     background: BackgroundName | None = None
     low_pass: LowPassName | None = None
     appearance: AppearanceName = "auto"
@@ -176,7 +177,10 @@ class Settings:
         if self.city:
             return FromBlock(digest_of(self.city / PLAN), self.block)
         preset = PRESETS[self.recipe]
-        return preset.random_start if self.init == "random" else preset.build(steps=self.steps).initialization
+        start = (
+            preset.random_start if self.init == "random" else preset.build(steps=self.steps).initialization
+        )
+        return with_sky(start) if self.sky else start
 
 
 NAMES = {field.name for field in fields(Settings)}

@@ -6,6 +6,7 @@ other go first.
 """
 
 from dataclasses import replace
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -48,15 +49,15 @@ def coarser(gaussians: Gaussians, count: int) -> Gaussians:
     return gaussians
 
 
-def _weights(gaussians: Gaussians) -> Float[np.ndarray, " n"]:
-    """Returns opacity times area of the largest cross section: about what a Gaussian adds to pictures."""
+def weights_of(gaussians: Gaussians) -> Float[np.ndarray, " n"]:
+    """Returns opacity times area of the largest cross section, about what a Gaussian adds to pictures."""
     two_largest = np.sort(np.asarray(gaussians.log_scales, np.float64), axis=1)[:, 1:].sum(axis=1)
     return (
         expit(np.asarray(gaussians.opacity_logits, np.float64)) * np.exp(np.minimum(two_largest, 80)) + 1e-30
     )
 
 
-def _covariances(gaussians: Gaussians) -> Float[np.ndarray, "n 3 3"]:
+def covariances_of(gaussians: Gaussians) -> Float[np.ndarray, "n 3 3"]:
     """Returns covariances by NumPy: JAX would compile a program for each round, as each has fewer rows."""
     quats = np.asarray(gaussians.quats, np.float64)
     quats = np.where(quats.any(axis=1, keepdims=True), quats, [1.0, 0, 0, 0])
@@ -70,7 +71,7 @@ def _pairs(gaussians: Gaussians, most: int) -> tuple[Int[np.ndarray, " p"], Int[
     means = np.asarray(gaussians.means, np.float64)
     size = np.exp(np.minimum(np.asarray(gaussians.log_scales, np.float64), 40)).max(axis=1)
     colors = np.asarray(gaussians.sh)[:, 0].astype(np.float64)
-    weights = _weights(gaussians)
+    weights = weights_of(gaussians)
     others = min(NEIGHBOURS, len(means) - 1)
     _, near = cKDTree(means).query(means, k=others + 1)
     rows = np.arange(len(means))[:, None]
@@ -89,7 +90,7 @@ def _pairs(gaussians: Gaussians, most: int) -> tuple[Int[np.ndarray, " p"], Int[
 
 def _merged(gaussians: Gaussians, first: Int[np.ndarray, " p"], second: Int[np.ndarray, " p"]) -> Gaussians:
     """Returns the scene with each pair of rows replaced by one Gaussian, in the place of the first."""
-    weights = _weights(gaussians)
+    weights = weights_of(gaussians)
     share = (weights[first] / (weights[first] + weights[second]))[:, None]
 
     def mean(values: Float[np.ndarray, "n ..."]) -> Float[np.ndarray, "p ..."]:
@@ -98,15 +99,10 @@ def _merged(gaussians: Gaussians, first: Int[np.ndarray, " p"], second: Int[np.n
 
     means = np.asarray(gaussians.means, np.float64)
     middle = mean(means)
-    covariance = mean(_covariances(gaussians))
+    covariance = mean(covariances_of(gaussians))
     for rows, by in ((first, share), (second, 1 - share)):
         away = means[rows] - middle
         covariance += by[..., None] * away[:, :, None] * away[:, None, :]
-    variances, axes = np.linalg.eigh(covariance)
-    axes[np.linalg.det(axes) < 0, :, 0] *= -1
-    scales = np.sqrt(np.maximum(variances, 1e-24))
-    area = scales[:, 1] * scales[:, 2]
-    opacities = np.clip((weights[first] + weights[second]) / np.maximum(area, 1e-30), 1e-4, 0.9999)
     kept = np.ones(len(means), bool)
     kept[second] = False
 
@@ -115,11 +111,29 @@ def _merged(gaussians: Gaussians, first: Int[np.ndarray, " p"], second: Int[np.n
         rows[first] = values
         return jnp.asarray(rows[kept])
 
-    return replace(
-        gaussians,
-        means=replaced(gaussians.means, middle),
-        quats=replaced(gaussians.quats, Rotation.from_matrix(axes).as_quat(scalar_first=True)),
-        log_scales=replaced(gaussians.log_scales, np.log(scales)),
-        opacity_logits=replaced(gaussians.opacity_logits, np.log(opacities) - np.log1p(-opacities)),
-        sh=replaced(gaussians.sh, mean(np.asarray(gaussians.sh, np.float64))),
-    )
+    merged = matched(middle, covariance, weights[first] + weights[second])
+    merged["sh"] = mean(np.asarray(gaussians.sh, np.float64))
+    fields: dict[str, Any] = {name: replaced(getattr(gaussians, name), merged[name]) for name in merged}
+    return replace(gaussians, **fields)
+
+
+def matched(
+    means: Float[np.ndarray, "p 3"], covariances: Float[np.ndarray, "p 3 3"], weights: Float[np.ndarray, " p"]
+) -> dict[str, Float[np.ndarray, "p ..."]]:
+    """Returns the fields of Gaussians with these moments, except for colours.
+
+    Args:
+        means: centres, world units.
+        covariances: world units squared.
+        weights: opacity times area of the largest cross section, world units squared.
+    """
+    variances, axes = np.linalg.eigh(covariances)
+    axes[np.linalg.det(axes) < 0, :, 0] *= -1
+    scales = np.sqrt(np.maximum(variances, 1e-24))
+    opacities = np.clip(weights / np.maximum(scales[:, 1] * scales[:, 2], 1e-30), 1e-4, 0.9999)
+    return {
+        "means": means,
+        "quats": Rotation.from_matrix(axes).as_quat(scalar_first=True),
+        "log_scales": np.log(scales),
+        "opacity_logits": np.log(opacities) - np.log1p(-opacities),
+    }

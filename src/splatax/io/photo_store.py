@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from splatax.dataset import View
+from splatax.dataset import Edited, View
 from splatax.io.datasets.decoding import MaskDecoder, PhotoDecoder
 from splatax.io.files import replacing
 
@@ -186,7 +186,7 @@ def kept_on_disk(views: tuple[View, ...], store: PhotoStore) -> tuple[tuple[View
 
 def keys_of(view: View) -> dict[str, int]:
     """Returns the keys of a view's photo and mask with their bytes; empty if they do not come from files."""
-    pixels, mask = view.pixels, view.mask
+    pixels, mask = decoder_of(view), view.mask
     if not isinstance(pixels, PhotoDecoder) or not isinstance(mask, MaskDecoder | None):
         return {}
     area = view.camera.width * view.camera.height
@@ -197,9 +197,15 @@ def keys_of(view: View) -> dict[str, int]:
         return {}  # reported when training reads the photo
 
 
+def decoder_of(view: View) -> Callable[[], Any]:
+    """Returns the decoder of a view's photo, without later changes of its pixels."""
+    return view.pixels.decode if isinstance(view.pixels, Edited) else view.pixels
+
+
 def view_from(store: PhotoStore, view: View, keys: list[str]) -> View:
     """Returns a view that reads its photo, and its mask if it has one, from a store."""
-    pixels = Kept(store, keys[0], view.pixels)
+    decoded = Kept(store, keys[0], decoder_of(view))
+    pixels = replace(view.pixels, decode=decoded) if isinstance(view.pixels, Edited) else decoded
     return replace(view, pixels=pixels, mask=Kept(store, keys[1], view.mask) if view.mask else None)
 
 

@@ -179,7 +179,8 @@ def fingerprint(dataset: Dataset) -> dict[str, Any]:
     sizes = [(view.name, view.camera.width, view.camera.height, view.mask is not None) for view in views]
     cameras = [np.asarray(leaf) for view in views for leaf in jax.tree.leaves(view.camera)]
     lenses = "".join(type(view.camera.lens).__name__ for view in views)  # some have no numbers
-    parts = (dataset.block.start, dataset.block.context) if dataset.block else ()
+    own = dataset.block
+    parts = (own.start, own.context, own.fraction, dataset.extent) if own else ()
     block = [np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(parts)]
     return {
         "photos": f"{len(dataset.train)} to train on and {len(dataset.test)} held out",

@@ -35,6 +35,7 @@ class Views:
         landmarks: as in `Batch`.
         divisor: factor by which the photos were downscaled (static).
         context: as in `Batch`.
+        fraction: as in `Batch`.
     """
 
     camera: Camera
@@ -44,6 +45,7 @@ class Views:
     landmarks: Float[Array, "k m 3"] | None = None
     divisor: int = field(default=1, metadata={"static": True})
     context: Gaussians | None = None
+    fraction: Float[Array, ""] | None = None
 
 
 @dataclass(frozen=True)

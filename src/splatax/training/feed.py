@@ -39,6 +39,7 @@ class Batch:
         divisor: factor by which the photo was downscaled (static).
         landmarks: world points that the photo shows, padded with NaN; None if they are not asked for.
         context: Gaussians that the photo shows too and that are not learned; None if there are none.
+        fraction: part of the whole scene's Gaussians that are learned, for means over all; None for all.
     """
 
     camera: Camera
@@ -48,6 +49,7 @@ class Batch:
     divisor: int = field(default=1, metadata={"static": True})
     landmarks: Float[Array, "k 3"] | None = None
     context: Gaussians | None = None
+    fraction: Float[Array, ""] | None = None
 
 
 def batches(

@@ -12,9 +12,10 @@ from splatax.cameras.geometry import points_at, seen_at
 from splatax.cameras.lenses.protocol import NEAR
 from splatax.dataset import Block, Dataset
 from splatax.errors import DatasetError
-from splatax.gaussians import Gaussians
+from splatax.gaussians import Gaussians, joined
 from splatax.math import harmonics
 from splatax.math.neighbours import mean_squared_distances
+from splatax.training.protocols import Initialization
 
 SMALLEST = 0.01  # size of Gaussians on coincident points, as a fraction of the median neighbour distance
 
@@ -92,7 +93,7 @@ class Discs:
         start: places them.
     """
 
-    start: "FromPoints | InFrusta"
+    start: Initialization
 
     def number(self, dataset: Dataset) -> int:
         """Returns the number of Gaussians that `start` has."""
@@ -109,6 +110,45 @@ class Discs:
         quats /= np.linalg.norm(quats, axis=1, keepdims=True)
         flat = gaussians.log_scales.at[:, 2].set(-jnp.inf)
         return replace(gaussians, quats=jnp.asarray(quats, jnp.float32), log_scales=flat)
+
+
+@dataclass(frozen=True)
+class WithSky:
+    """Adds Gaussians on a sphere far around the cameras, for open scenes: there are no points in the sky.
+
+    Attributes:
+        start: places the others.
+        count: number of Gaussians on the whole sphere; only those are added that a training camera sees.
+        radius: of the sphere, in extents of the scene.
+        opacity: of the added Gaussians.
+        scale: size, as a multiple of the root mean square distance to the 3 nearest.
+    """
+
+    start: Initialization
+    count: int = 500
+    radius: float = 30.0
+    opacity: float = 0.5
+    scale: float = 0.5
+
+    def number(self, dataset: Dataset) -> int:
+        """Returns about how many Gaussians there will be: as many as `start` has, and the whole sphere."""
+        return self.start.number(dataset) + self.count
+
+    def __call__(self, dataset: Dataset, sh_degree: int, seed: int) -> Gaussians:
+        """Returns the Gaussians of `start`, then grey ones on the sphere.
+
+        Raises:
+            DatasetError: if the capture lacks what those of `start` are made from.
+        """
+        start, cameras = self.start(dataset, sh_degree, seed), [view.camera for view in dataset.train]
+        centre = rig.positions_of(cameras).mean(axis=0)
+        sphere = centre + self.radius * dataset.extent * evenly_on_sphere(self.count)
+        sphere = sphere[seen_by_any(cameras, sphere)].astype(np.float32)
+        if not len(sphere):
+            return start
+        grey = np.full_like(sphere, 0.5)
+        sky = _round_gaussians(sphere, grey, self.opacity, self.scale, sh_degree, dataset.extent)
+        return joined([start, sky])
 
 
 @dataclass(frozen=True)
@@ -141,6 +181,13 @@ class FromBlock:
             )
         more = harmonics.count(sh_degree) - start.sh.shape[1]
         return replace(start, sh=jnp.pad(start.sh, ((0, 0), (0, more), (0, 0))), low_pass=Gaussians.low_pass)
+
+
+def with_sky(start: Initialization) -> Initialization:
+    """Returns an initialization with Gaussians in the sky; those of discs are discs too."""
+    if isinstance(start, Discs):
+        return replace(start, start=with_sky(start.start))
+    return WithSky(start)
 
 
 def _block_of(dataset: Dataset) -> Block:
@@ -181,6 +228,22 @@ def require_visible(gaussians: Gaussians, dataset: Dataset) -> None:
         f"nearer than {NEAR} world units. Check that the points belong to the cameras; scale up a capture "
         "that is so small."
     )
+
+
+def evenly_on_sphere(count: int) -> Float[np.ndarray, "n 3"]:
+    """Returns unit vectors that are spread evenly: points of a Fibonacci lattice."""
+    places = np.arange(count) + 0.5
+    z, turn = 1 - 2 * places / count, math.pi * (1 + math.sqrt(5)) * places
+    return np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=1)
+
+
+def seen_by_any(cameras: list[Camera], points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+    """Returns which world points lie in the image of at least one camera, even if others hide them."""
+    seen = np.zeros(len(points), bool)
+    for camera in cameras:
+        pixels, _ = seen_at(camera, points)  # NaN where the lens does not see them
+        seen |= ((pixels >= 0) & (pixels < np.asarray(camera.size))).all(axis=1)
+    return seen
 
 
 def focus_distance(cameras: list[Camera], extent: float) -> float:

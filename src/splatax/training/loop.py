@@ -132,7 +132,7 @@ def optimize(
         padded = pad(gaussians, bucket_for(len(gaussians)))
         state = first_state(padded, recipe, dataset.extent, rows_for(dataset.train))
         start = RunState(state, len(gaussians))
-    stepper = stepper_for(recipe, devices, dataset.block.context if dataset.block else None)
+    stepper = stepper_for(recipe, devices, dataset.block)
     yield from _steps(dataset, recipe, start, pace or (lambda step: None), photo_room, stepper)
 
 

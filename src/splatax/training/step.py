@@ -26,6 +26,7 @@ from splatax.training.moving import Pace, Rows, by_view, moved
 from splatax.training.objectives import TrainingView
 from splatax.training.optimizer import LearningRates
 from splatax.training.recipes import Recipe
+from splatax.training.traced import of_a_step
 
 
 class Faults(NamedTuple):
@@ -74,8 +75,10 @@ def train_step(state: TrainState, batch: Batch, recipe: Recipe) -> tuple[TrainSt
     resolved already.
     """
     # Numbers that depend on the length of the run are inputs of the program, so that runs of all lengths
-    # share one program in the compilation cache.
-    return _train_step(state, batch, recipe.optimizer.rates, recipe.sh.openings(recipe.steps), recipe)
+    # share one program, in this process and in the compilation cache.
+    return _train_step(
+        state, batch, recipe.optimizer.rates, recipe.sh.openings(recipe.steps), of_a_step(recipe)
+    )
 
 
 @partial(jax.jit, static_argnames="recipe", donate_argnames="state")
@@ -91,7 +94,7 @@ def _train_step(
 
     good = jnp.isfinite(found.loss)  # if not, nothing moves
     progress = state.step / state.total
-    living = jnp.sum(state.gaussians.opacity_logits > -jnp.inf)
+    living = of_whole(jnp.sum(state.gaussians.opacity_logits > -jnp.inf), batch.fraction)
     splats, d_splats = found.shown.splats, found.d_shown.splats
     reach = recipe.optimizer.reach(splats.depths, state.extent)
     rows = Rows(state.gaussians, None, state.opt_state, reach)
@@ -113,6 +116,11 @@ def _train_step(
         recipe.objective.weights.update(state.weights, batch.source.view, found.loss),
     )
     return advanced(replace(state, gaussians=gaussians, opt_state=opt_state), learned, good), found.loss
+
+
+def of_whole(count: Int[Array, ""], fraction: Float[Array, ""] | None) -> Int[Array, ""]:
+    """Returns the number of Gaussians of a whole scene, of which `count` are a fraction; None for all."""
+    return count if fraction is None else jnp.round(count / fraction).astype(count.dtype)
 
 
 def advanced(state: TrainState, learned: tuple[Any, Any, Any, Any], good: Bool[Array, ""]) -> TrainState:

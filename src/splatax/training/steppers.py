@@ -1,7 +1,7 @@
 """Makers of steps: on one view by one device, or on several views by several devices."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, runtime_checkable
 
 import jax
@@ -10,8 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from splatax.cameras.canvases import Size, canvases_for
-from splatax.dataset import View
-from splatax.gaussians import Gaussians
+from splatax.dataset import Block, View
 from splatax.training.comparison import Views
 from splatax.training.devices import Dealt, devices_for
 from splatax.training.feed import Batch, batches
@@ -21,6 +20,7 @@ from splatax.training.protocols import ResolutionSchedule
 from splatax.training.recipes import Recipe
 from splatax.training.schedule import Schedule
 from splatax.training.step import TrainState, train_step
+from splatax.training.traced import of_a_step
 from splatax.training.views import step_on_views
 
 MOST_PROGRAMS = 4  # of training steps for a scene of one size; one takes seconds to compile
@@ -54,10 +54,10 @@ class OneView:
     """Steps on one view, on JAX's default device.
 
     Attributes:
-        context: Gaussians that are drawn in every view and not trained; None if there are none.
+        surroundings: fields of `Batch` that are the same in all steps.
     """
 
-    context: Gaussians | None = None
+    surroundings: Mapping[str, Any] = field(default_factory=dict)
 
     def placed(self, state: TrainState) -> TrainState:
         """Returns the state as it is."""
@@ -77,7 +77,7 @@ class OneView:
 
     def step(self, state: TrainState, seen: Batch, recipe: Recipe) -> tuple[TrainState, Float[Array, ""]]:
         """Makes a step on one view."""
-        return train_step(state, replace(seen, context=self.context), recipe)
+        return train_step(state, replace(seen, **self.surroundings), recipe)
 
 
 @dataclass(frozen=True)
@@ -86,11 +86,11 @@ class SeveralViews:
 
     Attributes:
         dealt: the devices.
-        context: as in `OneView`, on all devices.
+        surroundings: as in `OneView`, on all devices.
     """
 
     dealt: Dealt
-    context: Gaussians | None = None
+    surroundings: Mapping[str, Any] = field(default_factory=dict)
 
     def placed(self, state: TrainState) -> TrainState:
         """Distributes the rows of a state over the devices."""
@@ -110,8 +110,10 @@ class SeveralViews:
     def step(self, state: TrainState, seen: Views, recipe: Recipe) -> tuple[TrainState, Float[Array, ""]]:
         """Makes a step on several views."""
         openings = jnp.asarray(recipe.sh.openings(recipe.steps))
-        seen = replace(seen, context=self.context)
-        return step_on_views(state, seen, recipe.optimizer.rates, openings, recipe, self.dealt.mesh)
+        seen = replace(seen, **self.surroundings)
+        return step_on_views(
+            state, seen, recipe.optimizer.rates, openings, of_a_step(recipe), self.dealt.mesh
+        )
 
 
 def canvases_of(
@@ -130,23 +132,22 @@ def canvases_of(
     return canvases_for([view.camera for view in views], most)
 
 
-def stepper_for(
-    recipe: Recipe, devices: Sequence[jax.Device] | None, context: Gaussians | None = None
-) -> Stepper:
+def stepper_for(recipe: Recipe, devices: Sequence[jax.Device] | None, block: Block | None = None) -> Stepper:
     """Returns how the steps of a recipe are made.
 
     Args:
         recipe: the settings.
         devices: on which; None for as many as divide the views of a step.
-        context: Gaussians that are drawn in every view and not trained.
+        block: the part of the scene that is trained; None for all of it.
 
     Raises:
         ValueError: if the devices do not divide the views.
     """
     if recipe.views < 1:
         raise ValueError(f"a step needs at least one view, not {recipe.views}")
+    around = {} if block is None else {"context": block.context, "fraction": jnp.float32(block.fraction)}
     if recipe.views == 1 and devices is None:
-        return OneView(context)
+        return OneView(around)
     dealt = Dealt(devices_for(recipe.views, devices))
-    everywhere = jax.tree.map(lambda leaf: dealt.everywhere(np.asarray(leaf)), context)
+    everywhere = jax.tree.map(lambda leaf: dealt.everywhere(np.asarray(leaf)), around)
     return SeveralViews(dealt, everywhere)

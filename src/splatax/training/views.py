@@ -36,7 +36,7 @@ from splatax.training.moving import Pace, Rows, by_kernel, by_optax, draws_as_ke
 from splatax.training.optimizer import LearningRates
 from splatax.training.protocols import Source
 from splatax.training.recipes import Recipe
-from splatax.training.step import TrainState, advanced
+from splatax.training.step import TrainState, advanced, of_whole
 
 
 @partial(jax.jit, static_argnames=("recipe", "mesh"), donate_argnames="state")
@@ -86,6 +86,7 @@ def _on_each(
     good = jnp.all(jnp.isfinite(losses))  # if not, nothing moves; see `splatax.training.step`
 
     living = lax.psum(jnp.sum(state.gaussians.opacity_logits > -jnp.inf), AXIS)
+    living = of_whole(living, views.fraction)
     pace = Pace(rates, openings, state.step / state.total, good, living, state.extent)
     rows = Rows(state.gaussians, d.gaussians, state.opt_state, _reach(splats, state, recipe))
     gaussians, opt_state = _moved(rows, pace, noise_key, recipe, placement(state).opt_state)

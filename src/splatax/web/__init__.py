@@ -2,6 +2,7 @@
 
 from splatax.web.composition import Composition as Composition
 from splatax.web.composition import compose as compose
+from splatax.web.detail import LOD_ABOVE as LOD_ABOVE
 from splatax.web.page import LOSES as LOSES
 from splatax.web.page import MAX_SH_DEGREE as MAX_SH_DEGREE
 from splatax.web.page import document as document

@@ -1,8 +1,15 @@
 // Collects the chunks of the page as they arrive, then decompresses and starts the viewer.
 const parts = { viewer: [] };
 
+function bytes(base64) {
+  const letters = atob(base64);
+  const found = new Uint8Array(letters.length);
+  for (let i = 0; i < letters.length; i++) found[i] = letters.charCodeAt(i);
+  return found;
+}
+
 function part(name, base64) {
-  (parts[name] ??= []).push(Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0)));
+  (parts[name] ??= []).push(bytes(base64));
   document.getElementById("progress").value += 1;
 }
 
@@ -20,7 +27,12 @@ async function start() {
   if (!window.DecompressionStream)
     return failed("This browser is too old to decompress the scene. Use a browser from 2023 or later.");
   document.getElementById("state").textContent = "decompressing";
-  window.file = async (name) => new Uint8Array(await new Blob(parts[name]).arrayBuffer());
+  window.whole = new Promise((resolve) => document.addEventListener("DOMContentLoaded", resolve)); // all chunks are there
+  window.file = async (name) => {
+    const file = new Blob(parts[name]);
+    delete parts[name];
+    return new Uint8Array(await file.arrayBuffer());
+  };
   const packed = new Blob(parts.viewer).stream().pipeThrough(new DecompressionStream("gzip"));
   const script = document.createElement("script");
   script.textContent = await new Response(packed).text();

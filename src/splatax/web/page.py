@@ -23,6 +23,7 @@ from splatax.low_pass import AlongRays, Antialiasing, Dilation, LowPass
 from splatax.math import morton
 from splatax.scene import Drawable, seen
 from splatax.transforms import Similarity
+from splatax.web.detail import LOD_ABOVE, previews_of
 from splatax.web.presentation import Presentation, described, placed
 from splatax.web.skinned import Motion
 from splatax.web.staging import stage
@@ -63,6 +64,7 @@ def document(
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
     presentation: Presentation = NOTHING,
     motion: Motion | None = None,
+    lod_above: int = LOD_ABOVE,
     name: str = "page",
 ) -> str:
     """Returns the HTML of a page that shows a scene.
@@ -76,6 +78,8 @@ def document(
         background: display-referred RGB behind the scene, in [0, 1].
         presentation: variants, notes, start view and flight.
         motion: a clip that the scene plays; its colours do not turn, so they are right at SH degree 0.
+        lod_above: number of Gaussians above which the page opens with a preview, and then draws with level of
+            detail. A page with a motion draws all its Gaussians.
         name: name of the page in error messages.
 
     Raises:
@@ -88,13 +92,17 @@ def document(
     low_pass = _check(scene, name)
     staged = stage(seen.in_world(scene), cameras)
     parts, files = placed(scene, staged.place)
+    whole = {file: _whole(gaussians) for file, gaussians in files.items()}
+    previews = {} if motion else previews_of(whole, lod_above)
+    names = {file: f"preview-{file}" for file in previews}
+    first = {names.get(file, file): previews.get(file, gaussians) for file, gaussians in whole.items()}
     page = {
         "background": list(background),
         "lowPass": _variances(low_pass),
         "near": NEAR * staged.place.scale,
         "cameras": staged.poses,
         "start": staged.start,
-        "parts": parts,
+        "parts": [part | {"preview": names.get(part["file"])} for part in parts],
         **described(scene, staged, presentation, name),
         "motion": _motion(motion, files, staged.place, name),
     }
@@ -107,7 +115,8 @@ def document(
         cameras=list(cameras),
         page=page,
         viewer=list(_chunks(gzip.compress(viewer, 9, mtime=0))),
-        scenes={file: list(_chunks(_spz(gaussians))) for file, gaussians in files.items()},
+        scenes={file: list(_chunks(_spz(gaussians))) for file, gaussians in first.items()},
+        details={file: list(_chunks(_spz(whole[file]))) for file in previews},
     )
 
 
@@ -187,13 +196,17 @@ def _variances(low_pass: LowPass) -> dict[str, Any]:
     }
 
 
-def _spz(gaussians: Gaussians) -> bytes:
+def _whole(gaussians: Gaussians) -> Gaussians:
     nearby = _order(gaussians)
+    return jax.tree.map(lambda leaf: leaf[nearby], gaussians)
+
+
+def _spz(gaussians: Gaussians) -> bytes:
     if isinstance(gaussians.low_pass, AlongRays):  # the page says how it is shown
         gaussians = replace(gaussians, low_pass=Dilation())
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "scene.spz"
-        formats.save(path, jax.tree.map(lambda leaf: leaf[nearby], gaussians), buckets=SH_BUCKETS)
+        formats.save(path, gaussians, buckets=SH_BUCKETS)
         return path.read_bytes()
 
 

@@ -1,7 +1,8 @@
 """The native rasterizer of splats that are drawn along rays; see `splatax.along_rays` for what it computes.
 
 The library lists splats by ellipses that hold all pixels in which they are drawn. It returns sums over
-pixels, of which the portable response makes gradients. Channels are blended four at a time.
+pixels, of which the portable response makes gradients. Up to four channels are blended in one walk over the
+splats, and more of them twelve at a time.
 """
 
 from dataclasses import dataclass
@@ -20,8 +21,9 @@ from splatax.backends.portable.slanted import Slanted
 from splatax.backends.splat_kernels import curvature, second_derivative
 from splatax.splats import MIN_ALPHA, Splats, slants_of
 
-GROUP = 4  # channels of a walk, as in native/cpu/splats.h
-SUMS = 20  # SLANTED_SUMS in native/cpu/slanted.h
+GROUP, WIDE_GROUP = 4, 12  # channels of a walk, as in native/cpu/splats.h and native/cpu/slanted.h
+MOMENTS = 14  # SLANTED_MOMENTS in native/cpu/slanted.h
+PULL = 2
 HALF_LOG2_E = 0.5 * float(np.log2(np.e))  # turns squared distances into powers of two
 UNBOUNDED = 1e-9, 0.0, 1e-9  # root of an ellipse that is larger than any image
 
@@ -41,29 +43,59 @@ def composite(
             f"{GROUP} channels, not for {count}: draw the others apart, or choose the backend 'xla'"
         )
     parts = [
-        _composite(splats, channels[:, first : first + GROUP], build, max_pairs)
-        for first in range(0, max(count, 1), GROUP)
+        _composite(splats, channels[:, first : first + WIDE_GROUP], build, max_pairs)
+        for first in range(0, max(count, 1), WIDE_GROUP)
     ]
     return jnp.concatenate([sums for sums, _ in parts], axis=2), parts[0][1]
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(2, 3))
 def _composite(splats: Splats, channels: Float[Array, "n c"], build: Build, max_pairs: int):
-    size = (splats.height, splats.width)
-    sums, alpha = build.call(
-        "splatax_slanted_forward",
-        [(*size, GROUP), size],
-        inputs_of(splats, channels),
-        max_pairs=np.int64(max_pairs),
-    )
-    return sums[..., : channels.shape[1]], alpha
+    return _draw(splats, channels, build, max_pairs, gradient_follows=False)[:2]
 
 
 @_composite.defjvp
 def _(build: Build, max_pairs: int, primals, tangents):
-    image = _composite(*primals, build, max_pairs)
-    derivative = Derivative(build, max_pairs)
-    return image, linear_call(derivative, (*primals, *image), directions(*tangents), image)
+    *image, ticket = _drawn_image(*primals, build, max_pairs)
+    return tuple(image), _derivative_of_image(build, max_pairs, primals, (*image, ticket), tangents)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(2, 3))
+def _drawn_image(splats: Splats, channels: Float[Array, "n c"], build: Build, max_pairs: int):
+    """Returns the image, and the ticket for its derivative. It can be differentiated again."""
+    return _draw(splats, channels, build, max_pairs, gradient_follows=True)
+
+
+@_drawn_image.defjvp
+def _(build: Build, max_pairs: int, primals, tangents):
+    drawn = _drawn_image(*primals, build, max_pairs)
+    no_tangent = np.zeros(drawn[2].shape, jax.dtypes.float0)
+    return drawn, (*_derivative_of_image(build, max_pairs, primals, drawn, tangents), no_tangent)
+
+
+def _derivative_of_image(build: Build, max_pairs: int, primals, drawn: tuple[Array, ...], tangents):
+    """Returns the tangents of the image that `_drawn_image` returned for splats and channels."""
+    return linear_call(Derivative(build, max_pairs), (*primals, *drawn), directions(*tangents), drawn[:2])
+
+
+def _draw(
+    splats: Splats, channels: Float[Array, "n c"], build: Build, max_pairs: int, gradient_follows: bool
+) -> tuple[Array, Array, Array]:
+    """Returns sums, alpha, and a ticket with which the gradient finds the lists of tiles again."""
+    size = (splats.height, splats.width)
+    sums, alpha, ticket = build.call(
+        "splatax_slanted_forward",
+        [(*size, _width(channels)), size, jax.ShapeDtypeStruct((), jnp.int32)],
+        inputs_of(splats, channels),
+        max_pairs=np.int64(max_pairs),
+        gradient_follows=np.int64(gradient_follows),
+    )
+    return sums[..., : channels.shape[1]], alpha, ticket
+
+
+def _width(channels: Float[Array, "n c"]) -> int:
+    """Returns the number of channels of the walk that blends these."""
+    return GROUP if channels.shape[1] <= GROUP else WIDE_GROUP
 
 
 @dataclass(frozen=True)
@@ -96,18 +128,18 @@ class Derivative:
 
 @partial(jax.custom_jvp, nondiff_argnums=(2, 3))
 def _pull_back(residuals, cotangents, build: Build, max_pairs: int):
-    splats, channels, sums, alpha = residuals
+    splats, channels, sums, alpha, ticket = residuals
     d_sums, d_alpha = cotangents
-    count = channels.shape[1]
-    more = ((0, 0), (0, 0), (0, GROUP - count))
+    count, width = channels.shape[1], _width(channels)
+    more = ((0, 0), (0, 0), (0, width - count))
     (found,) = build.call(
         "splatax_slanted_backward",
-        [(len(splats.depths), SUMS)],
-        [*inputs_of(splats, channels), jnp.pad(sums, more), alpha, jnp.pad(d_sums, more), d_alpha],
+        [(len(splats.depths), MOMENTS + width + PULL)],
+        [*inputs_of(splats, channels), jnp.pad(sums, more), alpha, ticket, jnp.pad(d_sums, more), d_alpha],
         max_pairs=np.int64(max_pairs),
         pulled=np.int64(splats.pull is not None),
     )
-    total, k, slack, e, d_channels, pulls = jnp.split(found, [1, 6, 12, 14, 14 + GROUP], axis=1)
+    total, k, slack, e, d_channels, pulls = jnp.split(found, [1, 6, 12, MOMENTS, MOMENTS + width], axis=1)
     none = jnp.zeros_like(total)  # the moments that no gradient needs
     moments = jnp.concatenate([total, none, k, slack / HALF_LOG2_E, none, e], axis=1)
     pull = None if splats.pull is None else pulls / HALF_LOG2_E
@@ -129,7 +161,7 @@ def inputs_of(splats: Splats, channels: Float[Array, "n c"]) -> list[Array]:
         jnp.log2(splats.opacities)[:, None],
         slants[:, :5],
         slants[:, 5:] * HALF_LOG2_E,
-        jnp.pad(channels, ((0, 0), (0, GROUP - channels.shape[1]))),
+        jnp.pad(channels, ((0, 0), (0, _width(channels) - channels.shape[1]))),
     ]
     means2d, sqrt_conics, extents = hulls_of(splats)
     hulls = [means2d, sqrt_conics, splats.depths, extents, splats.opacities]
@@ -141,9 +173,9 @@ def hulls_of(
 ) -> tuple[Float[Array, "n 2"], Float[Array, "n 3"], Float[Array, "n 2"]]:
     """Returns ellipses around all pixels that splats reach, as if they were splats of the same opacity.
 
-    The sum of two ellipses P and Q of the same centre lies in the ellipse (1 + 1/p) P + (1 + p) Q for every
-    p > 0 (as covariances). The blur lies in the sum of itself and the ellipse of `along_rays.bounds`, which
-    holds the mean.
+    A splat reaches the ellipse of `along_rays.bounds` and a disc of blur around its mean, which lies in a
+    larger disc around the centre of that ellipse. The hull has the axes of the ellipse, but none that is
+    shorter than the radius of the larger disc, so it contains all of them.
 
     Returns:
         Centres, roots of inverse covariances, and half widths and heights of their boxes.
@@ -156,10 +188,17 @@ def hulls_of(
     size = jnp.where(bounded, found.reach, 1) / squared
     across = v / (u * w)
     a, b, c = size * (1 / (u * u) + across * across), -size * across / w, size / (w * w)
-    ratio = jnp.sqrt((a + c) * slants[:, 5] / 2)  # of the sizes of ellipse and blur
-    blur = (1 + ratio) / slants[:, 5]
-    a, b, c = (1 + 1 / ratio) * a + blur, (1 + 1 / ratio) * b, (1 + 1 / ratio) * c + blur
-    determinant = a * c - b * b
+    apart = jnp.sqrt(jnp.sum(found.offsets * found.offsets, axis=1) / squared)
+    blur = along_rays.MARGIN * jnp.square(1 / jnp.sqrt(slants[:, 5]) + apart)
+    spread = jnp.sqrt(jnp.square(a - c) + 4 * b * b)  # difference of the squared axes
+    longest = (a + c + spread) / 2
+    shortest = jnp.square(size / (u * w)) / longest
+    # 0 if both axes are longer than the blur, 1 if none is; between, the shorter one becomes as long.
+    rounded = jnp.clip((blur - shortest) / jnp.maximum(spread, 1e-30), 0, 1)
+    longest, shortest = jnp.maximum(longest, blur), jnp.maximum(shortest, blur)
+    a, b, c = ((1 - rounded) * value for value in (a, b, c))
+    a, c = a + rounded * longest, c + rounded * longest
+    determinant = longest * shortest
     bounded &= determinant > 0
     safe = jnp.where(bounded, determinant, 1)
     rows = jnp.stack([jnp.sqrt(c / safe), -b / jnp.sqrt(c * safe), 1 / jnp.sqrt(c)], axis=1)

@@ -172,8 +172,9 @@ class PlanBlocks:
 class TrainBlock:
     """Train one block of a plan, or continue its run where it was stopped.
 
-    The Gaussians around the block are those of the coarse scene: they are drawn, and do not change. The
-    result is an ordinary run in CITY/block-NNN. A block that is trained to the end is left alone.
+    The Gaussians around the block are those of the coarse scene: they are drawn, and do not change.
+    Where they fill a photo, the block is compared with the coarse scene instead. The result is an ordinary
+    run in CITY/block-NNN. A block that is trained to the end is left alone.
     """
 
     city: CityPath

@@ -223,7 +223,7 @@ def located(scene: sx.Scene, truth: Truth, name: str, seed: int) -> tuple[float,
     return float(angle), float(np.linalg.norm(there - center) / depth[2])
 
 
-def main(steps: int = 2500, count: int = 10_000, size: int = SIZE) -> None:
+def main(steps: int = 2500, count: int = 7_000, size: int = SIZE) -> None:
     photographer = Photographer(size)
     model, data = photographer.model, photographer.data
     photographer.pose(TRAINED)

@@ -11,6 +11,7 @@ namespace {
 
 constexpr int DIGIT_BITS = 11;  // of the radix sort, at most: three passes, or fewer where the keys are close together
 
+constexpr int AHEAD = 16;  // splats that are prefetched
 constexpr int SMALL_BOX = 4;  // tiles; smaller boxes are listed without testing the ellipse
 
 // Maps floats to integers in the same order, negative ones too.
@@ -102,6 +103,7 @@ int append_spans(const Splat& splat, std::vector<Span>& spans) {
 
 void Binning::collect(const Input& input, Workers& workers, int64_t max_pairs) {
   listed_ = NONE;
+  seen_known_ = false;
   count_ = input.count;
   channel_count_ = input.channel_count;
   width_ = input.width;
@@ -132,7 +134,10 @@ void Binning::collect(const Input& input, Workers& workers, int64_t max_pairs) {
 
   Splat* sorted = splats.at_least(visible);
   workers.ranges(visible, [&](int, int begin, int end) {
-    for (int i = begin; i < end; ++i) sorted[i] = collected[places_[i]];
+    for (int i = begin; i < end; ++i) {
+      if (i + AHEAD < end) __builtin_prefetch(collected + places_[i + AHEAD]);
+      sorted[i] = collected[places_[i]];
+    }
   });
   divide(max_pairs);
 }
@@ -185,6 +190,7 @@ void Binning::order(Workers& workers) {
 void Binning::list(int number, Workers& workers) {
   if (listed_ == number) return;
   listed_ = number;
+  seen_known_ = false;
   const Round& round = rounds[number];
   const int count = round.end - round.begin, ranges = workers.count();
   int32_t* first = first_pair.at_least(count + 1);

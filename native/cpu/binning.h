@@ -18,6 +18,8 @@
 
 namespace splatax {
 
+constexpr int CHUNK = 64;  // splats of a tile's list that are looked at together, one bit each in a word
+
 // Entry of a tile's list.
 struct Pair {
   int32_t splat;  // position in depth order
@@ -40,6 +42,7 @@ struct Tile {
   const Splat* splats;    // splats of all tiles
   const Pair* pairs;
   int count;              // number of pairs
+  const uint64_t* seen;   // as `Binning::keep_seen` describes; null where it is not known
 };
 
 class Binning {
@@ -67,12 +70,20 @@ class Binning {
            input.height == height_;
   }
 
+  // Room for what a walk over the tiles finds: for each chunk of a tile's list and each block of the tile, the splats with
+  // an alpha of at least 1/255 at an unfinished pixel of the block. Other walks over the same lists skip the rest.
+  void make_room_for_seen() { seen_.at_least(first_word(tiles())); }
+  uint64_t* seen_of(int number) { return seen_.get() + first_word(number); }
+  // Tells that the words of all tiles are written.
+  void keep_seen() { seen_known_ = true; }
+
   int tiles() const { return columns * rows; }
   int pair_count() const { return starts_[tiles()]; }
   Tile tile(int number) const {
     const int begin = starts_[number], end = starts_[number + 1];
     const int left = number % columns * TILE, top = number / columns * TILE;
-    return {number, left, top, splats.get(), pairs_.get() + begin, end - begin};
+    const uint64_t* seen = seen_known_ ? seen_.get() + first_word(number) : nullptr;
+    return {number, left, top, splats.get(), pairs_.get() + begin, end - begin, seen};
   }
 
  private:
@@ -80,12 +91,16 @@ class Binning {
 
   void order(Workers& workers);
   void divide(int64_t max_pairs);
+  // The words of a tile begin here: those of a list that begins anywhere end before the next one's.
+  size_t first_word(int number) const { return (static_cast<size_t>(starts_[number]) / CHUNK + number) * BLOCKS; }
 
   int listed_ = NONE;  // round
   int count_ = NONE, channel_count_ = NONE, width_ = NONE, height_ = NONE;  // sizes of the input
 
   Buffer<Pair> pairs_;
   Buffer<int32_t> starts_;  // starts of the tiles' lists in `pairs_`, and their end
+  Buffer<uint64_t> seen_;
+  bool seen_known_ = false;
 
   Buffer<Splat> collected_;
   Buffer<uint32_t> keys_, sorted_keys_;

@@ -7,8 +7,6 @@
 
 namespace splatax {
 
-constexpr int CHUNK = 64;  // splats, one bit each in a word
-
 struct Chunk {
   alignas(64) float x[CHUNK], y[CHUNK], u[CHUNK], v[CHUNK], w[CHUNK], level[CHUNK], reach[CHUNK];
   alignas(64) float x_per_y[CHUNK], y_per_x[CHUNK];
@@ -86,11 +84,11 @@ inline void find_live_blocks(const uint64_t* touching, uint32_t live, uint16_t b
 template <int C, class Body>
 SPLATAX_INLINE void each_chunk(const Tile& tile, const uint32_t& live, const Body& body) {
   Chunk chunk;
-  uint64_t touching[BLOCKS];
+  uint64_t found[BLOCKS];
   for (int first = 0; first < tile.count && live; first += CHUNK) {
     chunk.gather<C>(tile.splats, tile.pairs + first, std::min(CHUNK, tile.count - first));
-    chunk.find_blocks(tile.left, tile.top, touching);
-    body(chunk, touching, first);
+    if (!tile.seen) chunk.find_blocks(tile.left, tile.top, found);
+    body(chunk, tile.seen ? tile.seen + first / CHUNK * BLOCKS : found, first);
   }
 }
 
@@ -110,12 +108,12 @@ struct PixelCentres {
 // Effect of a splat on a block of pixels; forward and backward passes must agree bit by bit.
 struct Effect {
   Lanes raw, alpha, weight, after;  // opacity G; clamped, garbage where not drawn; T alpha; T behind it
-  Mask drawn, alive;                // where it is drawn; where later splats may be
+  Mask seen, drawn, alive;          // where it counts; of these, where it is drawn; where later splats may be
 
  protected:
   // From log2 of its raw alpha.
   SPLATAX_INLINE void blend(Lanes exponent, Lanes transmittance, Mask alive_before) {
-    const Mask seen = (broadcast(LOG2_MIN_ALPHA) <= exponent) & alive_before;
+    seen = (broadcast(LOG2_MIN_ALPHA) <= exponent) & alive_before;
     raw = exp2(exponent);
     alpha = min(raw, broadcast(MAX_ALPHA));
     const Lanes left = multiply_subtract_from(alpha, transmittance, transmittance);

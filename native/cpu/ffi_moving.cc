@@ -4,6 +4,7 @@
 
 #include "ffi_view.h"
 #include "moving.h"
+#include "settling.h"
 
 namespace splatax {
 namespace {
@@ -12,7 +13,11 @@ using Keys = ffi::Buffer<ffi::U32>;
 
 // Returns a result that holds an argument. XLA gives both one buffer where it can.
 float* held(const FloatArray& from, FloatResult& to) {
-  if (to->typed_data() != from.typed_data()) std::memcpy(to->typed_data(), from.typed_data(), from.size_bytes());
+  if (to->typed_data() != from.typed_data()) {
+    std::memcpy(to->typed_data(), from.typed_data(), from.size_bytes());
+  } else {
+    settling.settle(to->typed_data(), to->size_bytes());
+  }
   return to->typed_data();
 }
 Fields<float> held(const FieldArrays<FloatArray>& from, const FieldArrays<FloatResult>& to) {

@@ -64,15 +64,14 @@ ffi::Error rasterize_forward(ffi::ThreadPool threads, FloatArray means2d, FloatA
     Workers all(threads, thread_limit);
     auto scratch = pool.take();
     scratch->ticket = 0;
+    scratch->expected = batch.views() == 1 && gradient_follows != 0;
     each_view(batch.views(), all, *scratch, [&](int view, Workers& workers, Scratch& memory) {
       const Image image{batch.of(sums, view), batch.of(alpha, view)};
       rasterize(splats.input(batch, view, w, h), image, workers, memory, max_pairs);
       *batch.of(ticket, view) = 0;
     });
-    if (batch.views() == 1) {  // the lists of a single view are kept for its gradient
-      *ticket->typed_data() = scratch->ticket = pool.new_ticket();
-      scratch->expected = gradient_follows != 0;
-    }
+    // The lists of a single view are kept for its gradient.
+    if (batch.views() == 1) *ticket->typed_data() = scratch->ticket = pool.new_ticket();
     pool.give_back(std::move(scratch));
   });
 }

@@ -47,10 +47,10 @@ ffi::Error slanted_forward(ffi::ThreadPool threads, FloatArray means2d, FloatArr
     Workers workers(threads, thread_limit);
     auto scratch = pool.take();
     scratch->ticket = 0;
+    scratch->expected = gradient_follows != 0;
     const Image image{sums->typed_data(), alpha->typed_data()};
     slanted(splats.input(w, h), image, workers, *scratch, max_pairs);
     *ticket->typed_data() = scratch->ticket = pool.new_ticket();
-    scratch->expected = gradient_follows != 0;
     pool.give_back(std::move(scratch));
   });
 }

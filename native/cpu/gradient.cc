@@ -36,6 +36,16 @@ void add_moments(const Input& input, int row, const float moments[MOMENTS], cons
   for (int k = 0; k < 2; ++k) pull[k] += pulls[k] / (ROOT_HALF_LOG2_E * ROOT_HALF_LOG2_E);
 }
 
+constexpr int AHEAD = 16;  // splats whose rows are prefetched: depth scatters them over the arrays
+
+void expect(const Input& input, int32_t number, const Gradients& gradients) {
+  const size_t row = number;
+  __builtin_prefetch(input.sqrt_conics + 3 * row), __builtin_prefetch(input.opacities + row);
+  __builtin_prefetch(gradients.means2d + 2 * row, 1), __builtin_prefetch(gradients.sqrt_conics + 3 * row, 1);
+  __builtin_prefetch(gradients.opacities + row, 1), __builtin_prefetch(gradients.channels + row * input.channel_count, 1);
+  if (gradients.pull) __builtin_prefetch(gradients.pull + 2 * row, 1);
+}
+
 // Adds the partials of a round's pairs to the gradients, pair after pair: the order, and so the
 // result, does not depend on which thread made them.
 template <int STRIDE>
@@ -46,6 +56,7 @@ void gather(const Input& input, const Binning& binning, const Round& round, cons
   const int used = STRIDE == PARTIALS ? PARTIALS : layout.used;  // a constant where that is faster
   workers.ranges(round.end - round.begin, [&](int, int begin, int end) {
     for (int i = begin; i < end; ++i) {
+      if (i + AHEAD < end) expect(input, binning.splats[round.begin + i + AHEAD].row, gradients);
       const int row = binning.splats[round.begin + i].row;
       float sums[STRIDE] = {};
       for (int32_t index = binning.first_pair[i]; index < binning.first_pair[i + 1]; ++index) {

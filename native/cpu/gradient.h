@@ -48,6 +48,20 @@ struct Layout {
   int used, channels, pull;
 };
 
+// Centres of the pixels of each block, relative to the tile's corner.
+struct CentresOfBlocks {
+  alignas(64) float x[BLOCKS][LANES], y[BLOCKS][LANES];
+
+  CentresOfBlocks() {
+    for (int b = 0; b < BLOCKS; ++b) {
+      for (int lane = 0; lane < LANES; ++lane) {
+        x[b][lane] = block_left(b) + lane % BLOCK + 0.5f, y[b][lane] = block_top(b) + lane / BLOCK + 0.5f;
+      }
+    }
+  }
+};
+inline const CentresOfBlocks CENTRES;
+
 template <int C, bool PULLED>
 struct TileGradient {
   alignas(64) float transmittance[BLOCKS][LANES];  // as in `TileImage`
@@ -65,9 +79,15 @@ struct TileGradient {
     each_chunk<C>(tile, live, [&](const Chunk& chunk, const uint64_t* touching, int first) {
       uint16_t blocks[CHUNK];
       find_live_blocks(touching, live, blocks);
+      const Pair* const pairs = tile.pairs + first;
       for (int i = 0; i < chunk.size && live; ++i) {
+        if (i + AHEAD < chunk.size && blocks[i + AHEAD]) {
+          const int32_t later = pairs[i + AHEAD].index;
+          __builtin_prefetch(partials[later], 1), __builtin_prefetch(partials[later] + PARTIALS - 1, 1);
+          __builtin_prefetch(flags + later, 1);
+        }
         if (!(blocks[i] & live)) continue;
-        const int32_t index = tile.pairs[first + i].index;
+        const int32_t index = pairs[i].index;
         alignas(64) float sums[LANES];
         live = accumulate_splat(chunk, i, blocks[i] & live, live, tile, sums);
         write_partials(sums, tile.left + TILE / 2 - chunk.x[i], tile.top + TILE / 2 - chunk.y[i], partials[index]);
@@ -77,20 +97,22 @@ struct TileGradient {
   }
 
  private:
+  static constexpr int AHEAD = 8;  // splats whose partials are prefetched: they are anywhere in memory
+
   // Sums over some blocks for one splat; returns the blocks that still have unfinished pixels.
   uint32_t accumulate_splat(const Chunk& chunk, int i, uint32_t blocks, uint32_t live, const Tile& tile,
                             float* sums) {
-    const PixelCentres centres;
+    const Lanes left = broadcast(tile.left), top = broadcast(tile.top), half = broadcast(TILE / 2);
     constexpr int SUMS = PULLED ? PARTIALS : MOMENTS + C;
     Lanes total[SUMS];
     for (Lanes& sum : total) sum = broadcast(0);
     for (; blocks; blocks &= blocks - 1) {
       const int b = __builtin_ctz(blocks);
-      const int column = block_left(b), row = block_top(b);
       const Lanes before = load(transmittance[b]);
       const Mask alive = broadcast(0) <= before;
       const Lanes T = max(before, broadcast(0) - before);
-      const Blend step(chunk, i, centres.x + broadcast(tile.left + column), centres.y + broadcast(tile.top + row), T, alive);
+      const Lanes across_tile = load(CENTRES.x[b]), down_tile = load(CENTRES.y[b]);
+      const Blend step(chunk, i, across_tile + left, down_tile + top, T, alive);
 
       Lanes value = load(d_alpha[b]);
       for (int c = 0; c < C; ++c) {
@@ -100,7 +122,7 @@ struct TileGradient {
       }
       const Lanes own = step.weight * value, still_behind = load(behind[b]) - own;
       const Lanes g = opacity_gradient(step, own, still_behind);
-      const Lanes x = centres.x + broadcast(column - TILE / 2), y = centres.y + broadcast(row - TILE / 2);
+      const Lanes x = across_tile - half, y = down_tile - half;
       const Lanes gx = g * x, gy = g * y;
       total[0] = total[0] + g, total[1] = total[1] + gx, total[2] = total[2] + gy;
       total[3] = multiply_add(gx, x, total[3]);

@@ -2,6 +2,7 @@
 // pages of 4 KB the system is busy with them for longer than the kernels are with the numbers.
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 
@@ -21,8 +22,16 @@ inline void in_large_pages([[maybe_unused]] void* data, [[maybe_unused]] size_t 
 #endif
 }
 
+constexpr size_t MOST_BETWEEN = 4;  // times the results
+
+// XLA takes the memory of a program's intermediate results as one piece. What lies between some of them is one too, unless
+// it is much longer than they are together.
 template <class... Results>
 void all_in_large_pages(Results&... results) {
+  const uintptr_t begin = std::min({reinterpret_cast<uintptr_t>(results->untyped_data())...});
+  const uintptr_t end = std::max({reinterpret_cast<uintptr_t>(results->untyped_data()) + results->size_bytes()...});
+  const size_t together = (size_t{0} + ... + results->size_bytes());
+  if (end - begin <= MOST_BETWEEN * together) return in_large_pages(reinterpret_cast<void*>(begin), end - begin);
   (in_large_pages(results->untyped_data(), results->size_bytes()), ...);
 }
 

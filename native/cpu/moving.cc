@@ -3,6 +3,7 @@
 #include "moving.h"
 
 #include <algorithm>
+#include <cmath>
 #include <limits>
 #include <vector>
 
@@ -19,6 +20,7 @@ constexpr int CHUNK = 256;  // rows whose gradients are kept at a time
 constexpr float LOG2_E = 1.442695041f;
 constexpr float SHARPNESS = 100, FAINT = 0.005f, NOISELESS = 0.17135532f;  // as in splatax/moving.py
 constexpr float NOTHING = -std::numeric_limits<float>::infinity();         // logit of an empty slot
+constexpr float FADED = 0x1p-20f;                                          // as in splatax/moving.py
 
 SPLATAX_INLINE Mask is_zero(Lanes a) { return (a <= broadcast(0)) & (broadcast(0) <= a); }
 SPLATAX_INLINE bool all(Mask mask) { return bits(mask) == (1u << LANES) - 1; }
@@ -55,17 +57,30 @@ class Mover {
     }
   }
 
+  // Prefetches the moments of rows that are scattered over the scene.
+  void expect(int first, int count, const uint8_t* seen) const {
+    constexpr int LINE = 16;  // floats
+    const int numbers = 3 * move_.coefficients;
+    for (int i = 0; i < count; ++i) {
+      if (!seen[i]) continue;
+      const size_t row = static_cast<size_t>(first) + i;
+      for (const Fields<float>& moments : {move_.mean, move_.square}) {
+        for (int k = 0; k < numbers; k += LINE) __builtin_prefetch(moments.sh + numbers * row + k, 1);
+        __builtin_prefetch(moments.quats + 4 * row, 1), __builtin_prefetch(moments.means + 3 * row, 1);
+      }
+    }
+  }
+
   // Takes other gradients from here on.
   void follow(const Fields<const float>& gradients) { gradients_ = gradients; }
 
-  void run(int first, int count) {
+  // Moves rows. `seen` tells which of them have a gradient at all; without it, the gradients do.
+  void run(int first, int count, const uint8_t* seen) {
     const size_t row = first;
     alignas(64) float lives[LANES] = {};
-    for (int lane = 0; lane < count; ++lane) lives[lane] = move_.scene.opacity_logits[row + lane] > NOTHING;
-    if (move_.rate_for_each_row) {
-      for (int i = 0; good_ && i < 3 * count; ++i) mean_rates_[i] = move_.mean_rates[row + i / 3];
+    if (number(SCALE_WEIGHT) != 0 || number(OPACITY_WEIGHT) != 0) {
+      for (int lane = 0; lane < count; ++lane) lives[lane] = move_.scene.opacity_logits[row + lane] > NOTHING;
     }
-    const auto no_prior = [](int, const float*) { return broadcast(0); };
     const auto scale_prior = [&](int at, const float* values) {
       if (!(number(SCALE_WEIGHT) != 0)) return broadcast(0);
       alignas(64) float living[LANES];
@@ -80,16 +95,83 @@ class Mover {
     field(&Fields<float>::log_scales, &Fields<const float>::log_scales, row, 3, count, scale_rates_, nullptr, scale_prior);
     field(&Fields<float>::opacity_logits, &Fields<const float>::opacity_logits, row, 1, count, opacity_rates_, nullptr,
           opacity_prior);
-    field(&Fields<float>::sh, &Fields<const float>::sh, row, 3 * move_.coefficients, count, sh_rates_, sh_free_, no_prior);
-    field(&Fields<float>::means, &Fields<const float>::means, row, 3, count, mean_rates_, nullptr, no_prior);
-    const Columns<4> before(move_.scene.quats + 4 * row, 4, count);
-    field(&Fields<float>::quats, &Fields<const float>::quats, row, 4, count, quat_rates_, nullptr, no_prior);
-    normalize(before, row, count);
+    const uint32_t awake = awake_rows(row, count, seen);
+    if (awake == (1u << count) - 1) {
+      move_awake(row, count);
+    } else {
+      for (uint32_t left = awake; left; left &= left - 1) move_one(row + __builtin_ctz(left));
+    }
     if (good_ && number(NOISE_STRENGTH) != 0) shake(row, count);
   }
 
  private:
   float number(MoveNumber which) const { return move_.numbers[which]; }
+
+  // Bits of the rows of which more than opacity and scales moves: the mean of the gradient of their centres is not zero, or
+  // they have a gradient.
+  uint32_t awake_rows(size_t row, int count, const uint8_t* seen) const {
+    const auto some = [](const float* numbers, int size) {
+      return std::any_of(numbers, numbers + size, [](float number) { return number != 0; });
+    };
+    const int coefficients = move_.coefficients;
+    uint32_t awake = 0;
+    for (int lane = 0; lane < count; ++lane) {
+      const size_t own = row + lane;
+      const float* mean = move_.mean.means + 3 * own;
+      bool moves = (mean[0] != 0) | (mean[1] != 0) | (mean[2] != 0);
+      if (!moves && good_ && (!seen || seen[lane])) {
+        moves = some(gradients_.means + 3 * own, 3) || some(gradients_.quats + 4 * own, 4) || sh_fed(own, coefficients);
+      }
+      awake |= static_cast<uint32_t>(moves) << lane;
+    }
+    return awake;
+  }
+
+  // Returns whether a harmonic that is learned already has a gradient.
+  bool sh_fed(size_t row, int coefficients) const {
+    const float* numbers = gradients_.sh + 3 * coefficients * row;
+    bool fed = false;
+    for (int i = 0; i < 3 * coefficients; ++i) fed |= sh_free_[i] > 0 && numbers[i] != 0;
+    return fed;
+  }
+
+  // Moves centres, harmonics and quaternions of rows.
+  void move_awake(size_t row, int count) {
+    const auto no_prior = [](int, const float*) { return broadcast(0); };
+    if (move_.rate_for_each_row && good_) {
+      for (int i = 0; i < count; ++i) std::fill_n(mean_rates_ + 3 * i, 3, move_.mean_rates[row + i]);
+    }
+    field(&Fields<float>::sh, &Fields<const float>::sh, row, 3 * move_.coefficients, count, sh_rates_, sh_free_, no_prior);
+    field(&Fields<float>::means, &Fields<const float>::means, row, 3, count, mean_rates_, nullptr, no_prior);
+    const Columns<4> before(move_.scene.quats + 4 * row, 4, count);
+    field(&Fields<float>::quats, &Fields<const float>::quats, row, 4, count, quat_rates_, nullptr, no_prior);
+    normalize(before, row, count);
+  }
+
+  // Moves centre, harmonics and quaternion of one row, to the same bits.
+  void move_one(size_t row) {
+    const auto no_prior = [](int, const float*) { return broadcast(0); };
+    field(&Fields<float>::sh, &Fields<const float>::sh, row, 3 * move_.coefficients, 1, sh_rates_, sh_free_, no_prior);
+    alignas(64) float rates[LANES] = {}, values[LANES] = {}, gradients[LANES] = {}, means[LANES] = {}, squares[LANES] = {};
+    std::fill_n(rates, 3, move_.rate_for_each_row && good_ ? move_.mean_rates[row] : mean_rates_[0]);
+    std::copy_n(quat_rates_, 4, rates + 3);
+    const auto gather = [&](const auto& from, float* to) {
+      std::copy_n(from.means + 3 * row, 3, to), std::copy_n(from.quats + 4 * row, 4, to + 3);
+    };
+    const auto scatter = [&](const float* from, const Fields<float>& to) {
+      std::copy_n(from, 3, to.means + 3 * row), std::copy_n(from + 3, 4, to.quats + 4 * row);
+    };
+    gather(move_.scene, values), gather(gradients_, gradients), gather(move_.mean, means), gather(move_.square, squares);
+    adam({values, gradients, means, squares}, 0, rates, nullptr, no_prior);
+    float* const quat = values + 3;
+    if (!std::equal(quat, quat + 4, move_.scene.quats + 4 * row)) {
+      float squared = 0;
+      for (int k = 0; k < 4; ++k) squared = squared + quat[k] * quat[k];
+      const float length = std::sqrt(squared);
+      for (int k = 0; k < 4; ++k) quat[k] = squared <= 0 ? 0 : quat[k] / length;
+    }
+    scatter(values, move_.scene), scatter(means, move_.mean), scatter(squares, move_.square);
+  }
 
   // Makes a step of Adam with one field of some rows. `prior` gives the gradients that a prior adds to vector `at`.
   template <class Prior>
@@ -111,7 +193,7 @@ class Mover {
     std::copy_n(means, left, place.means + whole), std::copy_n(squares, left, place.squares + whole);
   }
 
-  // Numbers whose gradient and moments are zero are not written, because they would not change.
+  // Numbers at rest are not written, and their squares not read.
   template <class Prior>
   SPLATAX_INLINE void adam(const Place& place, int at, const float* rates, const float* free, const Prior& prior) const {
     Lanes gradient = broadcast(0);
@@ -120,17 +202,18 @@ class Mover {
       if (free) gradient = or_zero(broadcast(0) < load(free + at), gradient);
       gradient = gradient + prior(at, place.values);
     }
-    Lanes mean = load(place.means), square = load(place.squares);
-    const Mask still = is_zero(gradient) & is_zero(mean);
-    if (all(still & is_zero(square))) return;
-    square = square_decay_ * square + square_rest_ * (gradient * gradient);
-    store(place.squares, square);
-    if (all(still)) return;
+    Lanes mean = load(place.means);
+    const Mask unfed = is_zero(gradient), rests = unfed & is_zero(mean);
+    if (all(rests)) return;
+    const Lanes before = load(place.squares), values = load(place.values);
+    const Lanes square = where(rests, before, square_decay_ * before + square_rest_ * (gradient * gradient));
     mean = decay_ * mean + rest_ * gradient;
-    store(place.means, mean);
     const Lanes length = sqrt(square * broadcast(number(SQUARE_CORRECTION))) + number(EPSILON);
     const Lanes step = (mean * broadcast(number(MEAN_CORRECTION))) / length;
-    store(place.values, load(place.values) - load(rates + at) * step);
+    const Mask faded = unfed & (absolute(step) <= broadcast(FADED));
+    store(place.squares, square);
+    store(place.means, where(faded, broadcast(0), mean));
+    store(place.values, where(faded, values, values - load(rates + at) * step));
   }
 
   // Normalizes the quaternions that differ from those before.
@@ -183,8 +266,8 @@ class Mover {
       const Lanes scale = number(PER_EXTENT) * exponential(log_scales[k]);
       *parts[k] = scale * (scale * *parts[k]);
     }
-    const Columns<3> rates(mean_rates_, 3, count);
-    const Vector shift = or_zero(open, (number(NOISE_STRENGTH) * rates[0]) * (turn * along));
+    const Lanes rates = move_.rate_for_each_row ? read_numbers(move_.mean_rates + row, count) : broadcast(*move_.mean_rates);
+    const Vector shift = or_zero(open, (number(NOISE_STRENGTH) * rates) * (turn * along));
     float* const means = move_.scene.means + 3 * row;
     write_vectors(read_vectors(means, count) + shift, means, count);
   }
@@ -215,10 +298,12 @@ class ChunkOfGradients {
   std::vector<float> numbers_[FIELDS];
 };
 
-// Moves rows [first, end).
-void move_some(Mover& mover, int first, int end) {
+// Moves rows [first, end). `seen`, for each of them, as of `Mover::run`.
+void move_some(Mover& mover, int first, int end, const uint8_t* seen) {
   const Flushing flushing;
-  for (; first < end; first += LANES) mover.run(first, std::min(LANES, end - first));
+  for (int row = first; row < end; row += LANES) {
+    mover.run(row, std::min(LANES, end - row), seen ? seen + (row - first) : nullptr);
+  }
 }
 
 }  // namespace
@@ -226,7 +311,7 @@ void move_some(Mover& mover, int first, int end) {
 void move_rows(const Move& move, Workers& workers) {
   workers.each((move.rows + PART - 1) / PART, [&](int part) {
     Mover mover(move, move.gradients);
-    move_some(mover, part * PART, std::min(move.rows, (part + 1) * PART));
+    move_some(mover, part * PART, std::min(move.rows, (part + 1) * PART), nullptr);
   });
 }
 
@@ -238,9 +323,11 @@ void move_rows(const Move& move, GradientByRows& gradients, Workers& workers) {
     for (int first = part * PART; first < end; first += CHUNK) {
       const int last = std::min(end, first + CHUNK);
       const GaussianGradients found = chunk.from(first);
-      gradients.find(first, last - first, found);
+      uint8_t seen[CHUNK];
+      const int shown = gradients.find(first, last - first, found, seen);
+      if (2 * shown < last - first) mover.expect(first, last - first, seen);
       mover.follow({found.means, found.quats, found.log_scales, found.opacity_logits, found.sh});
-      move_some(mover, first, last);
+      move_some(mover, first, last, seen);
     }
   });
 }

@@ -15,12 +15,15 @@ class Prepared {
 
   Prepared(const Input& input, int first, int count) : input_(input), first_(first), count_(count) {
     const size_t row = first;
-    const Columns<2> means(input.means2d + 2 * row, 2, count), extents(input.extents + 2 * row, 2, count);
-    const Lanes opacity = read_numbers(input.opacities + row, count);
+    const Columns<2> extents(input.extents + 2 * row, 2, count);
     // Conditions are written so that NaN is culled: `max` and `min` return the second number if there is one.
-    const Mask reaches = (broadcast(0) < extents[0]) & (broadcast(0) < extents[1]) & (broadcast(MIN_ALPHA) <= opacity);
+    const Mask has_box = (broadcast(0) < extents[0]) & (broadcast(0) < extents[1]);
+    drawn = 0;
+    if (!any(has_box)) return;
+    const Columns<2> means(input.means2d + 2 * row, 2, count);
+    const Lanes opacity = read_numbers(input.opacities + row, count);
     const Lanes zero = broadcast(0), size[] = {broadcast(input.width - 1.0f), broadcast(input.height - 1.0f)};
-    Mask inside = reaches;
+    Mask inside = has_box & (broadcast(MIN_ALPHA) <= opacity);
     for (int axis = 0; axis < 2; ++axis) {
       const Lanes low = max(zero, ceil(means[axis] - extents[axis] - 0.5f));
       const Lanes high = min(size[axis], floor(means[axis] + extents[axis] - 0.5f));

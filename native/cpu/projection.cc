@@ -1,7 +1,16 @@
-#include "projection_lanes.h"
+#include "frustum.h"
 
 namespace splatax {
 namespace {
+
+constexpr float FURTHEST = 11.09f;  // above 2 log(255): squared reach of an opaque splat, in standard deviations
+
+// Makes rows those of culled splats, but for their depths.
+void clear_rows(const Projected& splats, size_t first, size_t count) {
+  std::fill_n(splats.means2d + 2 * first, 2 * count, 0.0f), std::fill_n(splats.sqrt_conics + 3 * first, 3 * count, 0.0f);
+  std::fill_n(splats.extents + 2 * first, 2 * count, 0.0f), std::fill_n(splats.colors + 3 * first, 3 * count, 0.0f);
+  std::fill_n(splats.opacities + first, count, 0.0f);
+}
 
 // Colours of sixteen Gaussians, from `first` on, by their spherical harmonics.
 Vector colors(const Vector& means, const Gaussians& gaussians, const View& view, int first, int count) {
@@ -56,7 +65,7 @@ class Scattered {
       if (drawn >> i & 1) {
         std::copy_n(shown + 3 * i, 3, splats_.colors + 3 * row);
       } else {
-        std::fill_n(splats_.extents + 2 * row, 2, 0.0f);
+        clear_rows(splats_, row, 1);
       }
     }
   }
@@ -76,14 +85,18 @@ void project_lanes(const Gaussians& gaussians, const View& view, const Projected
   const size_t row = first;
   const Lanes x = p.lens.pixel_x(), y = p.lens.pixel_y();
 
+  const auto in_image = [&](Lanes width, Lanes height) {
+    return (broadcast(0) < x + width) & (x - width < broadcast(view.width)) & (broadcast(0) < y + height) &
+           (y - height < broadcast(view.height));
+  };
+  // No splat reaches further than one of opacity 1, so logarithms of the others that are near the image suffice.
+  const Mask possible = p.usable & (broadcast(MIN_ALPHA) <= p.opacity) &
+                        in_image(sqrt(broadcast(FURTHEST) * p.a), sqrt(broadcast(FURTHEST) * p.c));
   alignas(64) float reach[LANES];
-  store(reach, max(p.opacity * broadcast(1 / MIN_ALPHA), broadcast(1)));
-  for (float& value : reach) value = 2 * std::log(value);
-  Lanes width = sqrt(load(reach) * p.a), height = sqrt(load(reach) * p.c);
-  const Mask opaque = p.usable & (broadcast(MIN_ALPHA) <= p.opacity);
-  const Mask overlaps = (broadcast(0) < x + width) & (x - width < broadcast(view.width)) & (broadcast(0) < y + height) &
-                        (y - height < broadcast(view.height));
-  Mask visible = opaque & overlaps;
+  store(reach, or_zero(possible, max(p.opacity * broadcast(1 / MIN_ALPHA), broadcast(1))));
+  for (float& value : reach) value = value > 0 ? 2 * std::log(value) : 0;
+  const Lanes width = sqrt(load(reach) * p.a), height = sqrt(load(reach) * p.c);
+  Mask visible = possible & in_image(width, height);
 
   Vector color{broadcast(0), broadcast(0), broadcast(0)};
   const unsigned which = bits(visible) & ((1u << count) - 1);
@@ -96,15 +109,74 @@ void project_lanes(const Gaussians& gaussians, const View& view, const Projected
   }
 
   const Lanes u = sqrt(p.c / p.determinant);
-  write_pairs(x, y, splats.means2d + 2 * row, count);
-  write_vectors({u, -(p.b * u) / p.c, broadcast(1) / sqrt(p.c)}, splats.sqrt_conics + 3 * row, count);
+  write_pairs(or_zero(visible, x), or_zero(visible, y), splats.means2d + 2 * row, count);
+  write_vectors(or_zero(visible, Vector{u, -(p.b * u) / p.c, broadcast(1) / sqrt(p.c)}), splats.sqrt_conics + 3 * row, count);
   write_numbers(p.lens.depth(), splats.depths + row, count);
   write_pairs(or_zero(visible, width), or_zero(visible, height), splats.extents + 2 * row, count);
-  write_numbers(p.opacity, splats.opacities + row, count);
+  write_numbers(or_zero(visible, p.opacity), splats.opacities + row, count);
   write_vectors({max(color.x, broadcast(0)), max(color.y, broadcast(0)), max(color.z, broadcast(0))}, splats.colors + 3 * row,
                 count);
   if (later) scattered->add(first, which);
 }
+
+// Gaussians through a pinhole of which few may be in the image: these are projected sixteen at a time.
+class Sparse {
+ public:
+  Sparse(const Gaussians& gaussians, const View& view, const Projected& splats)
+      : gaussians_(gaussians), view_(view), splats_(splats), frustum_(view) {}
+
+  // Projects up to sixteen Gaussians, the last ones with `finish`, and returns true. It returns false if so many may be in
+  // the image that it is faster to project them as they are.
+  bool take(int first, int count) {
+    const size_t row = first;
+    const Means means = means_of<Pinhole>(gaussians_, view_, first, count);
+    const Vector log_scales = read_vectors(gaussians_.log_scales + 3 * row, count);
+    const Lanes widest = max(max(log_scales.x, log_scales.y), log_scales.z);
+    const Lanes scale = exp2(LOG2_E * max(min(widest, broadcast(MAX_LOG_SCALE)), broadcast(-60)));
+    const Lanes reach = broadcast(FURTHEST);
+    const Mask candidates = means.seen & frustum_.may_see(means.point, reach, reach * scale * scale);
+    uint32_t which = bits(candidates) & ((1u << count) - 1);
+    if (__builtin_popcount(which) > FEW) return false;
+    clear_rows(splats_, row, count);
+    write_numbers(means.point.z, splats_.depths + row, count);
+    for (; which != 0; which &= which - 1) rows_[count_++] = first + __builtin_ctz(which);
+    if (count_ >= LANES) {
+      write(LANES);
+      count_ -= LANES;
+      std::copy_n(rows_ + LANES, count_, rows_);
+    }
+    return true;
+  }
+  void finish() {
+    if (count_ > 0) write(count_);
+    count_ = 0;
+  }
+
+ private:
+  static constexpr int FEW = 6;  // of sixteen
+
+  void write(int count) {
+    Gaussians some = gaussians_;
+    some.rows = rows_, some.count = count;
+    alignas(64) float means2d[2 * LANES], sqrt_conics[3 * LANES], depths[LANES], extents[2 * LANES], colors[3 * LANES];
+    alignas(64) float opacities[LANES];
+    project_lanes<Pinhole>(some, view_, {means2d, sqrt_conics, depths, extents, colors, opacities}, 0, count);
+    for (int i = 0; i < count; ++i) {
+      const size_t row = rows_[i];
+      std::copy_n(means2d + 2 * i, 2, splats_.means2d + 2 * row);
+      std::copy_n(sqrt_conics + 3 * i, 3, splats_.sqrt_conics + 3 * row);
+      std::copy_n(extents + 2 * i, 2, splats_.extents + 2 * row), std::copy_n(colors + 3 * i, 3, splats_.colors + 3 * row);
+      splats_.depths[row] = depths[i], splats_.opacities[row] = opacities[i];
+    }
+  }
+
+  const Gaussians& gaussians_;
+  const View& view_;
+  const Projected& splats_;
+  const Frustum frustum_;
+  int count_ = 0;
+  int32_t rows_[2 * LANES];
+};
 
 }  // namespace
 
@@ -127,10 +199,13 @@ void project(int views, Workers& workers, const std::function<ProjectedView(int)
     workers.each(views * parts, [&](int task) {
       const ProjectedView job = view_of(task / parts);
       Scattered scattered(job.gaussians, job.view, job.splats);
+      Sparse sparse(job.gaussians, job.view, job.splats);
       each_lanes(task % parts, total, [&](int first, int count) {
+        if (std::is_same_v<Lens, Pinhole> && sparse.take(first, count)) return;
         project_lanes<Lens>(job.gaussians, job.view, job.splats, first, count, &scattered);
       });
       scattered.finish();
+      sparse.finish();
     });
   });
 }

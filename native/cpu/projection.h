@@ -94,9 +94,10 @@ class GradientByRows {
   // The arrays must outlive the object.
   GradientByRows(const Gaussians& gaussians, const View& view, const ProjectedCotangents& cotangents);
 
-  // Writes the gradients of some rows; row 0 of the arrays would be the first Gaussian of all. The rows of each 4,096
-  // are asked for by one thread, once each, in their order and in multiples of 256.
-  void find(int first, int count, const GaussianGradients& to);
+  // Writes the gradients of up to 256 rows, and tells which of them the view shows: the others have none. Row 0 of the
+  // gradients would be the first Gaussian of all. Returns the number of rows that are shown. The rows of each 4,096 are asked
+  // for by one thread, once each, in their order and in multiples of 256.
+  int find(int first, int count, const GaussianGradients& to, uint8_t* seen);
   // Writes the gradient of the camera, when all rows are found.
   void write_camera(float* camera) const;
 

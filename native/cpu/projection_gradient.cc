@@ -213,17 +213,25 @@ void clear(const GaussianGradients& to, int first, int count, int coefficients) 
   rows(to.means, 3), rows(to.quats, 4), rows(to.log_scales, 3), rows(to.opacity_logits, 1), rows(to.sh, 3 * coefficients);
 }
 
-// Gradients of up to SHORT Gaussians of a view. Those that the view shows are computed sixteen at a time, wherever
-// they are; those of the others are zero.
-template <class Lens>
-void pull_back_seen(const Pass& pass, int first, int count, CameraGradient<Lens::FIELDS>& camera) {
-  int32_t seen[SHORT];
-  int found = 0;
-  for (int row = first; row < first + count; ++row) {
-    seen[found] = row;
-    found += pass.cotangents.extents[2 * static_cast<size_t>(row)] > 0;
+// Rows of a view that it shows.
+struct Shown {
+  int count = 0;
+  int32_t rows[SHORT];
+
+  Shown(const ProjectedCotangents& cotangents, int first, int many) {
+    for (int row = first; row < first + many; ++row) {
+      rows[count] = row;
+      count += cotangents.extents[2 * static_cast<size_t>(row)] > 0;
+    }
   }
-  if (found < count) clear(pass.gradients, first, count, pass.gaussians.coefficients);
+};
+
+// Gradients of up to SHORT Gaussians of a view. Those that the view shows are computed sixteen at a time, wherever
+// they are; those of the others are not written.
+template <class Lens>
+void pull_back_shown(const Pass& pass, const Shown& shown, CameraGradient<Lens::FIELDS>& camera) {
+  const int found = shown.count;
+  const int32_t* seen = shown.rows;
   for (int at = 0; at < found; at += LANES) {
     const int number = std::min(LANES, found - at);
     if (seen[at + number - 1] == seen[at] + number - 1) {  // one after another
@@ -244,7 +252,10 @@ template <class Lens>
 void pull_back(const Pass& pass, int first, int end, double* camera_sums) {
   CameraGradient<Lens::FIELDS> camera;
   for (; first < end; first += SHORT) {
-    pull_back_seen<Lens>(pass, first, std::min(SHORT, end - first), camera);
+    const int count = std::min(SHORT, end - first);
+    const Shown shown(pass.cotangents, first, count);
+    if (shown.count < count) clear(pass.gradients, first, count, pass.gaussians.coefficients);
+    pull_back_shown<Lens>(pass, shown, camera);
     camera.move_to(camera_sums);
   }
 }
@@ -308,11 +319,18 @@ GradientByRows::GradientByRows(const Gaussians& gaussians, const View& view, con
   sums_.assign(static_cast<size_t>(parts_of(gaussians.count)) * fields_, 0.0);
 }
 
-void GradientByRows::find(int first, int count, const GaussianGradients& to) {
+int GradientByRows::find(int first, int count, const GaussianGradients& to, uint8_t* seen) {
+  const Shown shown(cotangents_, first, count);
+  std::fill_n(seen, count, uint8_t{0});
+  for (int i = 0; i < shown.count; ++i) seen[shown.rows[i] - first] = 1;
+  if (shown.count < count) clear(to, first, count, gaussians_.coefficients);
   with_lens(view_.lens, [&](auto* chosen) {
     using Lens = std::remove_pointer_t<decltype(chosen)>;
-    pull_back<Lens>({gaussians_, view_, cotangents_, to}, first, first + count, &sums_[first / PART * fields_]);
+    CameraGradient<Lens::FIELDS> camera;
+    pull_back_shown<Lens>({gaussians_, view_, cotangents_, to}, shown, camera);
+    camera.move_to(&sums_[first / PART * fields_]);
   });
+  return shown.count;
 }
 
 void GradientByRows::write_camera(float* camera) const {

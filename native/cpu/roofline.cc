@@ -3,6 +3,18 @@
 #include "blending.h"
 
 namespace splatax {
+namespace {
+
+// Counts slots, and those in which a splat is drawn; see `NoWatch`.
+struct Slots {
+  int32_t* counts;
+
+  void begin(int) {}
+  void see(const Effect& step, int) { counts[0] += LANES, counts[1] += __builtin_popcount(bits(step.drawn)); }
+  void end(int) {}
+};
+
+}  // namespace
 
 void count_slots(const Input& input, int32_t (*slots)[2], Workers& workers, Scratch& scratch, int64_t max_pairs) {
   Binning& binning = scratch.binning;
@@ -12,9 +24,7 @@ void count_slots(const Input& input, int32_t (*slots)[2], Workers& workers, Scra
     states.each_tile(workers, [&](const Tile& tile, TileImage<0>& state) {
       int32_t(&counts)[2] = slots[tile.number];
       if (round.begin == 0) state.clear(input, tile), counts[0] = counts[1] = 0;
-      state.blend(input, tile, [&](const Effect& step) {
-        counts[0] += LANES, counts[1] += __builtin_popcount(bits(step.drawn));
-      });
+      state.blend(input, tile, Slots{counts});
     });
   });
 }

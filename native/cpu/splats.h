@@ -35,7 +35,7 @@ struct Input {
 
 // One visible splat. With t = u dx + v dy and s = w dy, alpha is 2^(level - t^2 - s^2): u, v and w
 // are those of `Splats`, times sqrt(log2(e) / 2).
-struct Splat {
+struct alignas(64) Splat {
   float x, y, u, v, w;
   float level;             // log2(opacity)
   float reach;             // t^2 + s^2 beyond which alpha is under 1/255, and a margin for rounding

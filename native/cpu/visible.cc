@@ -2,33 +2,17 @@
 
 #include <algorithm>
 
-#include "projection_lanes.h"
+#include "frustum.h"
 
 namespace splatax {
 namespace {
 
 constexpr int TOGETHER = 256;  // rows that a thread projects at a time
 
-// Upper bound of the squared norm of a matrix M, row by row: the largest sum over a row of |M^T M|.
-float squared_norm(const float* matrix) {
-  double largest = 0;
-  for (int i = 0; i < 3; ++i) {
-    double sum = 0;
-    for (int j = 0; j < 3; ++j) {
-      double product = 0;
-      for (int k = 0; k < 3; ++k) product += static_cast<double>(matrix[3 * k + i]) * matrix[3 * k + j];
-      sum += std::abs(product);
-    }
-    largest = std::max(largest, sum);
-  }
-  return static_cast<float>(largest);
-}
-
-// The half side of a splat's box is sqrt(reach (|f|^2 + v)) with f = S R^T W^T J^T, so at most
-// sqrt(reach v + spread |W|^2 |J|^2) for either row of J.
-class Frustum {
+// Turns means into camera axes.
+class Axes {
  public:
-  Frustum(const View& view) : view_(view), norm_(broadcast(1.002f * squared_norm(view.camera + ROTATION))) {
+  explicit Axes(const View& view) {
     const float* camera = view.camera;
     for (int k = 0; k < 3; ++k) {
       const float* column = camera + ROTATION + k;
@@ -38,35 +22,12 @@ class Frustum {
     translation_ = {broadcast(t[0]), broadcast(t[1]), broadcast(t[2])};
   }
 
-  // Bits of the Gaussians, of sixteen, that may reach into the image. NaN in a bound does not cull.
-  SPLATAX_INLINE uint32_t may_see(const Bounds& bounds, int first) const {
+  SPLATAX_INLINE Vector point(const Bounds& bounds, int first) const {
     const Vector mean{load(bounds.x.get() + first), load(bounds.y.get() + first), load(bounds.z.get() + first)};
-    const Lanes reach = load(bounds.reach.get() + first), spread = load(bounds.spread.get() + first);
-    const Vector seen = rotation_ * mean + translation_;
-    const Mask candidate = (broadcast(NEAR) < seen.z) & (broadcast(0) <= reach);
-    if (!any(candidate)) return 0;
-    const Lanes inverse_z = broadcast(1) / seen.z;
-    const float* camera = view_.camera;
-    const Mask beside_x = outside(seen.x * inverse_z, inverse_z, camera[FX], camera[CX], view_.width, reach, spread);
-    const Mask beside_y = outside(seen.y * inverse_z, inverse_z, camera[FY], camera[CY], view_.height, reach, spread);
-    return bits(and_not(and_not(candidate, beside_x), beside_y));
+    return rotation_ * mean + translation_;
   }
 
  private:
-  SPLATAX_INLINE Mask outside(Lanes slope, Lanes inverse_z, float focal, float centre, int size, Lanes reach,
-                              Lanes spread) const {
-    const Lanes f = broadcast(focal), c = broadcast(centre), k = f * inverse_z;
-    const Lanes tilt = clipped(slope, c, f, size).value, middle = multiply_add(f, slope, c);
-    const Lanes widened = multiply_add(tilt, tilt, broadcast(1)) * (k * k) * norm_;
-    const Lanes squared_half = multiply_add(spread, widened, reach * broadcast(1.002f * view_.variance));
-    // The distance of the splat's middle from the image, less a margin for rounding.
-    const Lanes apart = absolute(middle - broadcast(0.5f * size)) -
-                        multiply_add(broadcast(1e-5f), absolute(middle), broadcast(0.5f * size + 0.05f));
-    return (broadcast(0) < apart) & (squared_half < apart * apart);
-  }
-
-  const View& view_;
-  Lanes norm_;
   Matrix rotation_;
   Vector translation_;
 };
@@ -74,9 +35,12 @@ class Frustum {
 // Writes the rows [begin, end) that a camera may see, in order, and returns their number.
 int find(const Bounds& bounds, const View& view, int begin, int end, int32_t* rows) {
   const Frustum frustum(view);
+  const Axes axes(view);
   int32_t* next = rows;
   for (int first = begin; first < end; first += LANES) {
-    for (uint32_t seen = frustum.may_see(bounds, first); seen; seen &= seen - 1) *next++ = first + __builtin_ctz(seen);
+    const Lanes reach = load(bounds.reach.get() + first), spread = load(bounds.spread.get() + first);
+    const Mask candidates = frustum.may_see(axes.point(bounds, first), reach, spread);
+    for (uint32_t seen = bits(candidates); seen; seen &= seen - 1) *next++ = first + __builtin_ctz(seen);
   }
   return static_cast<int>(next - rows);
 }

@@ -6,12 +6,18 @@ With the gradient g of a number x, its learning rate r, and after t steps:
     m <- b1 m + (1 - b1) g',   v <- b2 v + (1 - b2) g'^2                       (Kingma and Ba 2015, Alg. 1)
     x <- x - r (m / (1 - b1^t)) / (sqrt(v / (1 - b2^t)) + eps)
 
+Three rules let a step pass over what no view shows. A Gaussian whose gradients without the prior's are zero,
+and the m of whose centre is zero, rests: its centre, quaternion and harmonics keep their x, m and v. A single
+number with g' = 0 and m = 0 rests too. And where g' is zero, an m that would move its number by at most 2^-20
+of the learning rate becomes zero instead, which happens after about 130 steps without a gradient.
+
 Then quaternions that have changed are normalized, and noise moves the means of faint Gaussians; see `shaken`.
-A parameter whose gradient and moments are zero does not change. The update of a row depends on no other row.
+The update of a row depends on no other row.
 """
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -27,6 +33,7 @@ from splatax.shapes import check_arrays
 SHARPNESS = 100  # slope of the noise's gate, which lets noise through to faint Gaussians only
 FAINT = 0.005  # opacity at which the gate is half open
 NOISELESS = FAINT + 24 * math.log(2) / SHARPNESS  # opacity from which it is shut: it would let 2^-24 through
+FADED = 2.0**-20  # of the learning rate: step up to which a mean without a gradient becomes zero
 
 
 @dataclass(frozen=True)
@@ -130,18 +137,26 @@ def move(
     """
     checked(gaussians, gradients, moments, step, block)
     gradients = replace(gradients, sh=jnp.where(step.free[None, :, None], gradients.sh, 0))
-    gradients = with_prior(gaussians, gradients, step, rule)
-    gradients = jax.tree.map(lambda leaf: jnp.where(step.good, leaf, 0), gradients)
-    rates = jax.tree.map(lambda leaf: jnp.where(step.good, leaf, 0), step.rates)
-    mean = jax.tree.map(lambda m, g: rule.b1 * m + (1 - rule.b1) * g, moments.mean, gradients)
-    square = jax.tree.map(lambda v, g: rule.b2 * v + (1 - rule.b2) * (g * g), moments.square, gradients)
+    if_good = partial(jax.tree.map, lambda leaf: jnp.where(step.good, leaf, 0))
+    asleep = resting(if_good(gradients), moments)
+    gradients, rates = if_good(with_prior(gaussians, gradients, step, rule)), if_good(step.rates)
     by_mean, by_square = corrections(step, rule)
 
-    def moved(x: Array, rate: Array, m: Array, v: Array) -> Array:
-        length = jnp.sqrt(v * by_square) + rule.eps
-        return x - rate * (m * by_mean / length)
+    def moved(
+        x: Array, rate: Array, g: Array, m: Array, v: Array, asleep: Array
+    ) -> tuple[Array, Array, Array]:
+        rests = asleep | ((g == 0) & (m == 0))
+        mean = rule.b1 * m + (1 - rule.b1) * g
+        square = rule.b2 * v + (1 - rule.b2) * (g * g)
+        way = mean * by_mean / (jnp.sqrt(square * by_square) + rule.eps)
+        faded = (g == 0) & (jnp.abs(way) <= FADED)
+        after = jnp.where(rests | faded, x, x - rate * way)
+        return after, jnp.where(rests, m, jnp.where(faded, 0, mean)), jnp.where(rests, v, square)
 
-    after = jax.tree.map(moved, gaussians, rates, mean, square)
+    each = jax.tree.map(moved, gaussians, rates, gradients, *moments, asleep)
+    after, mean, square = jax.tree.transpose(
+        jax.tree.structure(gaussians), jax.tree.structure((0, 0, 0)), each
+    )
     changed = jnp.any(after.quats != gaussians.quats, axis=1, keepdims=True)
     quats = jnp.where(changed, jax.vmap(quaternions.normalize)(after.quats), gaussians.quats)
     # Without the barrier, XLA computes Adam again for each use in the noise.
@@ -150,6 +165,22 @@ def move(
         drawn = normals(step.keys, len(after), block, after.means.dtype)
         after = shaken(after, rule.noise, rates.means[:, 0], step.extent, drawn)
     return after, Moments(mean, square)
+
+
+def resting(gradients: Gaussians, moments: Moments) -> Gaussians:
+    """Returns which Gaussians rest, for each field in its rank; never for scales and opacities.
+
+    Args:
+        gradients: of the loss, without the prior.
+        moments: before the step.
+    """
+    moves = jnp.any(moments.mean.means != 0, axis=1)
+    for leaf in (gradients.means, gradients.quats, gradients.sh):
+        moves |= jnp.any(leaf != 0, axis=tuple(range(1, leaf.ndim)))
+    rests, never = ~moves[:, None], jnp.zeros((1, 1), bool)
+    return replace(
+        gradients, means=rests, quats=rests, log_scales=never, opacity_logits=never[0], sh=rests[..., None]
+    )
 
 
 def corrections(step: Step, rule: Rule) -> tuple[Float[Array, ""], Float[Array, ""]]:

@@ -32,7 +32,8 @@ def project(
 
     Culled rows have zero extent: those that the lens does not see (nearer than 0.01, or behind a pinhole),
     more transparent than 1/255, beside the image, of a hidden part, or with a number that is not finite. They
-    get a zero gradient, and leave that of the camera and of the poses finite.
+    get a zero gradient, and leave that of the camera and of the poses finite. Their other numbers are finite,
+    and only the depths have a meaning.
 
     Args:
         scene: Gaussians, or a `Scene` of parts.

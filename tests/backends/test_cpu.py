@@ -126,6 +126,23 @@ def test_rounds_change_nothing_that_is_drawn(width):
         assert_allclose(a, b, atol=2e-5 * max(np.abs(b).max(), 1))
 
 
+@pytest.mark.parametrize("pulled", [False, True])
+def test_a_gradient_has_the_same_bits_whether_or_not_the_lists_of_its_image_are_kept(pulled):
+    opaque = replace(
+        SCENE, opacities=jnp.linspace(0.01, 1, 600, dtype=jnp.float32)
+    )  # many pixels are finished
+    pull = jnp.zeros_like(SCENE.means2d) if pulled else None
+    image, pull_back = jax.vjp(
+        lambda splats: cpu.BEST.composite(splats, splats.colors), replace(opaque, pull=pull)
+    )
+    assert np.mean(image[1] > 0.999) > 0.2
+    weights = jnp.asarray(np.random.default_rng(0).normal(size=image[0].shape), jnp.float32)
+    kept = pull_back((weights, weights[..., 0]))
+    again = pull_back((weights, weights[..., 0]))  # the first call has used them up
+    for a, b in zip(jax.tree.leaves(kept), jax.tree.leaves(again), strict=True):
+        assert_array_equal(a, b)
+
+
 def test_calls_from_several_python_threads_do_not_disturb_each_other():
     scenes = [random_splats(seed, n=300) for seed in range(4)]
     expected = [image_and_gradient(scene) for scene in scenes]

@@ -14,7 +14,7 @@ from splatax import backends
 from splatax.backends import cpu
 from splatax.gaussians import ARRAYS, Gaussians
 from splatax.math import quaternions
-from splatax.moving import NOISELESS, Moments, Rule, Step, corrections, normals
+from splatax.moving import FADED, NOISELESS, Moments, Rule, Step, corrections, normals
 from splatax.training.capacity import pad
 from splatax.training.moving import rule_of
 from splatax.training.noise import Langevin
@@ -186,6 +186,63 @@ def test_rows_that_rest_keep_their_bits_and_empty_slots_stay_empty(move):
         assert np.any(after[:16] != before[:16], axis=tuple(range(1, after.ndim))).all(), name
         for part in moments:
             assert not np.any(np.asarray(getattr(part, name))[16:40])
+
+
+def test_a_number_without_gradient_and_mean_keeps_its_square(move):
+    gaussians = scene()
+    gradients = jax.tree.map(lambda leaf: leaf.at[16:40].set(0), like(gaussians, 1))
+    moments = moments_like(gaussians)
+    moments = moments._replace(mean=jax.tree.map(lambda leaf: leaf.at[16:40].set(0), moments.mean))
+    moved, after = move(gaussians, gradients, moments, step(gaussians), rule=ADAM, block=N)
+    for name in ARRAYS:
+        known, square = np.asarray(getattr(moments.square, name)), np.asarray(getattr(after.square, name))
+        assert_array_equal(square[16:40], known[16:40], err_msg=name)
+        assert np.any(square[:16] != known[:16]), name
+        assert_array_equal(getattr(moved, name)[16:40], getattr(gaussians, name)[16:40], err_msg=name)
+
+
+def test_a_gaussian_without_gradient_whose_centre_has_no_mean_rests_until_a_gradient_wakes_it(move):
+    gaussians, moments = scene(), moments_like(scene())
+    still = replace(moments.mean, means=moments.mean.means.at[16:40].set(0))
+    gradients = jax.tree.map(lambda leaf: leaf.at[16:40].set(0), like(gaussians, 1))
+    gradients = replace(gradients, sh=gradients.sh.at[30, 1, 2].set(1e-3).at[31, 6].set(1e-3))
+    moved, after = move(
+        gaussians,
+        gradients,
+        Moments(still, moments.square),
+        step(gaussians),
+        rule=replace(FULL, noise=0.0),
+        block=N,
+    )
+    asleep = [*range(16, 30), *range(31, 40)]  # in row 31, a band that is not learned yet has a gradient
+    for name in ("means", "quats", "sh"):
+        found = [getattr(part, name) for part in (moved, *after)]
+        known = [getattr(part, name) for part in (gaussians, still, moments.square)]
+        for a, b in zip(found, known, strict=True):
+            assert_array_equal(np.asarray(a)[asleep], np.asarray(b)[asleep], err_msg=name)
+            if name != "means":
+                assert np.any(np.asarray(a)[30] != np.asarray(b)[30]), name
+    for name in ("log_scales", "opacity_logits"):  # which the prior moves
+        assert np.all(getattr(moved, name)[16:40] != getattr(gaussians, name)[16:40]), name
+
+
+def test_a_mean_that_hardly_moves_its_number_and_has_no_gradient_becomes_zero(move):
+    gaussians, at = scene(), step(scene())
+    nothing = jax.tree.map(jnp.zeros_like, gaussians)
+    by_mean, by_square = corrections(at, ADAM)
+    square = jax.tree.map(lambda leaf: jnp.full_like(leaf, 1e-6), gaussians)
+    one = jnp.sqrt(1e-6 * ADAM.b2 * by_square) / (ADAM.b1 * by_mean)  # of means for a step of one rate
+    ways = jnp.where(jnp.arange(N) % 2 == 0, 0.9 * FADED, 1.1 * FADED)
+    mean = jax.tree.map(
+        lambda leaf: jnp.broadcast_to((one * ways).reshape(-1, *[1] * (leaf.ndim - 1)), leaf.shape), gaussians
+    )
+    moved, after = move(gaussians, nothing, Moments(mean, square), at, rule=ADAM, block=N)
+    for name in ARRAYS:
+        left = np.asarray(getattr(after.mean, name))
+        assert not left[::2].any(), name
+        assert left[1::2].all(), name
+        if name != "quats":  # whose row may be normalized
+            assert_array_equal(getattr(moved, name)[::2], getattr(gaussians, name)[::2], err_msg=name)
 
 
 def test_a_row_depends_on_itself_alone():

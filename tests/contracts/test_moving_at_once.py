@@ -68,6 +68,7 @@ def moving(gaussians, good=True):
     return Moments(mean, square), step
 
 
+@partial(jax.jit, static_argnames=("kernels", "low_pass", "good"))
 def both_ways(kernels, gaussians, view, low_pass, good=True):
     """The moved scene, its moments and the camera's gradient: at once, and by one kernel after the other."""
     moments, step = moving(gaussians, good)

@@ -160,6 +160,11 @@ def test_an_embedded_page_has_no_buttons_and_plays_unless_less_motion_is_asked_f
             break
         tab.wait_for_timeout(50)
     assert tab.evaluate("viewer.playing")
+    for _ in range(400):
+        if tab.evaluate("document.getElementById('loading').hidden"):
+            break
+        tab.wait_for_timeout(50)
+    assert tab.evaluate("document.getElementById('loading').hidden && viewer.playing")
     context.close()
 
 

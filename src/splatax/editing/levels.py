@@ -6,6 +6,7 @@ other go first.
 """
 
 from dataclasses import replace
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -112,7 +113,8 @@ def _merged(gaussians: Gaussians, first: Int[np.ndarray, " p"], second: Int[np.n
 
     merged = matched(middle, covariance, weights[first] + weights[second])
     merged["sh"] = mean(np.asarray(gaussians.sh, np.float64))
-    return replace(gaussians, **{name: replaced(getattr(gaussians, name), merged[name]) for name in merged})
+    fields: dict[str, Any] = {name: replaced(getattr(gaussians, name), merged[name]) for name in merged}
+    return replace(gaussians, **fields)
 
 
 def matched(

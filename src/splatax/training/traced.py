@@ -15,7 +15,7 @@ def of_a_step(recipe: Recipe) -> Recipe:
 
     `jit` traces and compiles a step for each recipe that it has not seen. Runs that differ in their number of
     steps, their seed or their number of Gaussians, such as the trial and the run of `splatax create`, share
-    one program.
+    one program. That program must use no setting that is left out here: it would find the default.
     """
     return Recipe(
         objective=recipe.objective,

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -61,7 +62,7 @@ def preview(gaussians: Gaussians, count: int) -> Gaussians:
     middle = mean(means)
     away = means - np.repeat(middle, lengths, axis=0)
     covariance = mean(covariances_of(gaussians) + away[:, :, None] * away[:, None, :])
-    fields = matched(middle, covariance, totals) | {"sh": mean(np.asarray(gaussians.sh))}
-    return replace(
-        gaussians, **{name: jnp.asarray(field, gaussians.means.dtype) for name, field in fields.items()}
-    )
+    merged = matched(middle, covariance, totals) | {"sh": mean(np.asarray(gaussians.sh))}
+    dtype = gaussians.means.dtype
+    fields: dict[str, Any] = {name: jnp.asarray(values, dtype) for name, values in merged.items()}
+    return replace(gaussians, **fields)

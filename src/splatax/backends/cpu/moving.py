@@ -31,7 +31,7 @@ def move(
 ) -> tuple[Gaussians, Moments]:
     """Makes one step with all rows, in place if the caller donates the arrays.
 
-    Parameters whose gradient and moments are zero are not written. Numbers below 2^-126 count as zero.
+    Numbers at rest are not written. Numbers below 2^-126 count as zero.
 
     Raises:
         ValueError: if arrays do not fit together.

@@ -82,12 +82,14 @@ def test_planes_stay_in_front_of_the_camera_over_all_of_their_ellipse():
     splats = project(gaussians, camera)
     found = planes(gaussians, camera, splats)
     assert all(np.isfinite(leaf).all() for leaf in found)
-    u, v, w = np.asarray(splats.sqrt_conics, np.float64).T
-    first = np.asarray(found.slopes[:, 0]) / u
-    second = (np.asarray(found.slopes[:, 1]) - v * first) / w
-    reach = np.sqrt(np.maximum(2 * np.log(np.asarray(splats.opacities) * 255), 0))
-    least = np.asarray(found.disparities) - reach * np.hypot(first, second)
-    assert (least > 0.09 * np.asarray(found.disparities)).all()
+    drawn = np.asarray(splats.extents[:, 0] > 0)
+    assert drawn.sum() > 100
+    u, v, w = np.asarray(splats.sqrt_conics, np.float64)[drawn].T
+    slopes, disparities = np.asarray(found.slopes)[drawn], np.asarray(found.disparities)[drawn]
+    first = slopes[:, 0] / u
+    second = (slopes[:, 1] - v * first) / w
+    reach = np.sqrt(np.maximum(2 * np.log(np.asarray(splats.opacities)[drawn] * 255), 0))
+    assert (disparities - reach * np.hypot(first, second) > 0.09 * disparities).all()
 
 
 def test_normals_of_the_depth_of_a_plane_are_its_normal(camera):

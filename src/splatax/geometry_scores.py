@@ -31,6 +31,8 @@ PROTOCOL = {  # how errors of geometry are computed, in words
     "means over the views",
     "depth": "by output; world units along the depth of the lens; the bias is positive where the scene is "
     "behind the reference",
+    "capped_error": "mean over the pixels or points of a view of the relative error, of which each counts "
+    f"at most {CAP:.0%}; then mean over the views",
     "normals": f"angle between the output {NORMALS} and the true normal, degrees",
 }
 

@@ -249,6 +249,12 @@ def test_an_option_of_another_command_is_found_for_the_user(capsys):
     assert "train" in error
 
 
+def test_a_value_that_cannot_be_understood_is_reported_once(capsys):
+    with pytest.raises(SystemExit):
+        cli.main(["train", "capture", "--steps", "many"])
+    assert capsys.readouterr().err.count("Value error") == 1
+
+
 def test_python_m_splatax_is_the_command():
     done = subprocess.run([sys.executable, "-m", "splatax", "--help"], capture_output=True, text=True)
     assert done.returncode == 0

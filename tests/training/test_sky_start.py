@@ -1,10 +1,15 @@
 """Gaussians in the sky from the start: far around the cameras, where they look."""
 
+import math
+from dataclasses import replace
+
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from splatax.cameras import rig
 from splatax.cameras.geometry import seen_at
+from splatax.errors import DatasetError
 from splatax.training.initialize import Discs, FromPoints, WithSky, evenly_on_sphere, with_sky
 from training.test_training import capture
 
@@ -44,3 +49,23 @@ def test_a_sky_of_discs_is_of_discs():
     gaussians = with_sky(Discs(FromPoints()))(capture(), 0, 0)
     assert np.all(np.isneginf(gaussians.log_scales[:, 2]))
     assert len(gaussians) > len(FromPoints()(capture(), 0, 0))
+
+
+def test_a_capture_whose_points_no_camera_sees_is_refused_with_a_sky_too():
+    dataset = capture()
+    view = dataset.train[0]
+    forward = np.asarray(view.camera.cam_from_world)[2, :3]
+    behind = rig.positions_of([view.camera]) - forward - 0.1 * dataset.points.positions
+    points = replace(dataset.points, positions=behind.astype(np.float32))
+    hidden = replace(dataset, train=(view,), points=points)
+    with pytest.raises(DatasetError, match="No camera sees"):
+        WithSky(FromPoints())(hidden, 0, 0)
+
+
+def test_gaussians_of_the_sky_are_as_large_as_on_the_whole_sphere_however_few_a_camera_sees():
+    dataset, start = capture(), FromPoints()
+    one = replace(dataset, train=dataset.train[:1])
+    sizes = np.exp(np.asarray(WithSky(start)(one, 0, 0).log_scales))[len(start(one, 0, 0)) :]
+    apart = 30 * one.extent * math.sqrt(4 * math.pi / 500)
+    assert len(sizes)
+    assert np.all((sizes > 0.25 * apart) & (sizes < apart))

@@ -136,5 +136,6 @@ def test_choices_of_a_large_page_are_drawn_as_by_our_renderer(open_page, tmp_pat
         tab.settle()
         scene = chosen(CAR, VARIANTS, {"paint": paint, "wheels": wheels})
         assert psnr(picture(tab), np.clip(sx.render(scene, camera).rgb, 0, 1)) > LIKE, (paint, wheels)
+        assert tab.tell("viewer.stage.parts.whole")
     assert tab.tell("viewer.stage.spark.lodInstances.size") == 3
     assert tab.errors == []

@@ -49,6 +49,7 @@ class Viewer {
       this.hotspots.place(this.stage.camera, innerWidth, innerHeight, (part) => this.variants.shows(part));
       this.settled = this.stage.settled && this.stage.complete;
       if (this.stage.opened && !this.opened) this.#begin();
+      if (this.stage.parts.whole && find('detail')) find('detail').hidden = true;
       if (this.settled && !this.complete) this.#finish();
       requestAnimationFrame(frame);
     };
@@ -95,19 +96,21 @@ class Viewer {
     update();
   }
 
-  /** Hides the progress of loading, and loads what the page shows only from now on. */
+  /** Hides the loading screen. On pages with previews, then loads the whole scene; without it, the previews stay. */
   #begin() {
     this.opened = true;
     find('loading').hidden = true;
     performance.mark('opened');
     if (!find('detail')) return;
-    window.whole.then(() => this.stage.refine(page.parts, window.file)).catch(window.failed);
+    window.whole.then(() => this.stage.refine(page.parts, window.file)).catch((error) => {
+      console.error(error);
+      find('detail').textContent = ' · detail could not be loaded';
+    });
   }
 
   #finish() {
     this.complete = true;
     performance.mark('complete');
-    if (find('detail')) find('detail').hidden = true;
   }
 
   #move(motion) {

@@ -3,7 +3,7 @@ import { SplatMesh } from '@sparkjsdev/spark';
 import { ColorMap } from './colors.js';
 
 export class Parts {
-  #parts = []; // mesh: what `change` shows and hides; preview: drawn in its place until it can be drawn itself
+  #parts = []; // each has a mesh, which `change` shows and hides, and a preview, drawn until the mesh has its level of detail
   #scene;
   #spark;
 

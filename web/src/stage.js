@@ -9,10 +9,11 @@ const FAR = 1e5; // only for clipping: splats are sorted, not depth-tested
 const SHARPEST = 2; // most device pixels per CSS pixel
 export const QUALITIES = { high: 1, medium: 0.7, low: 0.45 }; // fraction of the device's pixels along each axis
 const SLOW = 45; // milliseconds a frame, above which "auto" lowers the resolution while the view moves
-// Smallest splats that level of detail draws, pixels: if the view is still or frames are fast, and if they are slow.
+// Size in pixels below which splats are merged: usually, and while the view moves and frames are slow.
 const FINE = 0.3;
 const COARSE = 2;
 const MARGIN = 20; // degrees around the picture in which splats stay detailed, for turns
+const HEADSET = [110, 130]; // degrees in which splats have full detail, and from which they have the least
 
 export class Stage {
   quality = 'auto';
@@ -84,12 +85,16 @@ export class Stage {
     const ratio = this.#pixelRatio(moving);
     const state = JSON.stringify([width, height, ratio, moving, pose, this.animation?.time]);
     const changed = state !== this.#drawn;
-    if (this.parts.swap()) this.dirty = true;
+    if (this.parts.swap()) {
+      this.dirty = true;
+      this.#reduced = 1; // frames were slow while the whole scene was read
+      this.#frames = [];
+    }
     this.settled = !changed && !moving && !this.dirty && !this.#busy(moving) && this.#sorted();
     if (!(changed || this.dirty) || !width || !height || this.#busy(moving)) return;
     this.#resize(width, height, ratio);
     this.#place(pose, width / height);
-    this.spark.lodRenderScale = moving && this.#reduced < 1 ? COARSE : FINE;
+    this.spark.lodRenderScale = moving && this.quality === 'auto' && this.#reduced < 1 ? COARSE : FINE;
     this.dirty = false;
     this.#drawn = state;
     if (!moving && changed) this.spark.update(this); // sorts even after the smallest turn
@@ -118,6 +123,8 @@ export class Stage {
       this.#size = this.#drawn = ''; // the canvas has another size now
       this.dirty = true;
     });
+    this.spark.lodRenderScale = FINE;
+    [this.spark.coneFov0, this.spark.coneFov] = HEADSET;
     renderer.xr.enabled = true;
     renderer.xr.setReferenceSpaceType('local'); // begins at the eyes
     await renderer.xr.setSession(session);
@@ -170,7 +177,7 @@ export class Stage {
     camera.projectionMatrixInverse.copy(camera.projectionMatrix).invert();
   }
 
-  /** Tells Spark the angles of view, from which it chooses the level of detail, full in all of the picture. */
+  /** Tells Spark the angles of view. Splats in the picture, and in a margin around it, keep full detail. */
   #look([x, , , , , y]) {
     const degrees = (tangent) => (360 / Math.PI) * Math.atan(tangent);
     this.camera.fov = degrees(1 / y);

@@ -1,10 +1,12 @@
 """The command line: the library's first user."""
 
 import functools
+import io
 import operator
 import sys
 import warnings
 from collections.abc import Collection, Sequence
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import make_dataclass
 from typing import Annotated, Any
 
@@ -62,8 +64,11 @@ def parsed(given: Sequence[str]) -> Any:
         for name in named:
             in_paragraphs(COMMANDS[name].load())
         return understand(choices(named, named))
+    commands = choices(named, named)
+    unheard = io.StringIO()
     try:
-        return understand(choices(named, named), console_outputs=False)
+        with redirect_stdout(unheard), redirect_stderr(unheard):
+            return understand(commands)
     except SystemExit:
         return understand(choices(named, COMMANDS))
 

@@ -110,8 +110,8 @@ class Method:
     """Initialize from the capture's points ("sfm", the default), or randomly inside the camera frusta. If a
     capture has no points, "sfm" finds some in the photos, and starts randomly only if that fails."""
     sky: Annotated[bool, shown_as()] = False
-    """Start with additional Gaussians on a sphere far behind the scene. Use it for open scenes: a capture has
-    no points in the sky. By default off."""
+    """Start with additional Gaussians on a sphere far behind the scene. Use it for open scenes: captures
+    rarely have points in the sky. Off by default."""
     background: Annotated[BackgroundName | None, shown_as()] = None
     """Colour behind the scene and behind transparent photos. "random": a new colour every step, which
     prevents haze; evaluation uses black. By default white for Blender's scenes, random for the recipe

@@ -20,11 +20,16 @@ RUN_PIXEL, RUN_ROOT = 170, 2.2e6
 def photos(dataset: Dataset) -> tuple[int, int, int]:
     """Returns width and height of the largest training photo, and the bytes of all of them when decoded.
 
-    The bytes are those of RGB, without alpha.
+    The bytes are those of RGB, without alpha, or of the RGBA photos of a block.
     """
     sizes = [(view.camera.width, view.camera.height) for view in dataset.train]
     width, height = max(sizes, key=math.prod)
-    return width, height, sum(3 * math.prod(size) for size in sizes)
+    return width, height, sum(channels(dataset) * math.prod(size) for size in sizes)
+
+
+def channels(dataset: Dataset) -> int:
+    """Returns the number of channels of a capture's photos: those of blocks have an alpha channel."""
+    return 4 if dataset.block else 3
 
 
 def step_memory(gaussians: int, width: int, height: int, photos_bytes: int = 0) -> int:

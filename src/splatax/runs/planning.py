@@ -9,6 +9,7 @@ from splatax.ahead import cores
 from splatax.dataset import Dataset
 from splatax.errors import InputError
 from splatax.io.datasets.decoding import PhotoDecoder
+from splatax.io.photo_store import decoder_of
 from splatax.runs import forecast
 from splatax.runs.machine import busyness, physical_memory
 from splatax.runs.results import SHOWN
@@ -106,8 +107,8 @@ def gaussians_here(dataset: Dataset) -> int | float:
 def decoding_memory(dataset: Dataset) -> int:
     """Returns the bytes that reading one photo ahead takes, for the largest: decoding it, and the photo."""
     sizes = [
-        (view.pixels.stored.memory if isinstance(view.pixels, PhotoDecoder) else 0)
-        + 3 * view.camera.width * view.camera.height
+        (decoder.stored.memory if isinstance(decoder := decoder_of(view), PhotoDecoder) else 0)
+        + forecast.channels(dataset) * view.camera.width * view.camera.height
         for view in dataset.train
     ]
     return max(sizes)

@@ -180,7 +180,7 @@ def fingerprint(dataset: Dataset) -> dict[str, Any]:
     cameras = [np.asarray(leaf) for view in views for leaf in jax.tree.leaves(view.camera)]
     lenses = "".join(type(view.camera.lens).__name__ for view in views)  # some have no numbers
     own = dataset.block
-    parts = (own.start, own.context, own.fraction, dataset.extent) if own else ()
+    parts = (own.start, own.context, own.fraction) if own else ()
     block = [np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(parts)]
     return {
         "photos": f"{len(dataset.train)} to train on and {len(dataset.test)} held out",

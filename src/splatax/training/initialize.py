@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
@@ -117,10 +118,10 @@ class WithSky:
     """Adds Gaussians on a sphere far around the cameras, for open scenes: there are no points in the sky.
 
     Attributes:
-        start: places the others.
+        start: initialization of the rest of the scene.
         count: number of Gaussians on the whole sphere; only those are added that a training camera sees.
-        radius: of the sphere, in extents of the scene.
-        opacity: of the added Gaussians.
+        radius: radius of the sphere, in extents of the scene.
+        opacity: opacity of the added Gaussians.
         scale: size, as a multiple of the root mean square distance to the 3 nearest.
     """
 
@@ -138,17 +139,16 @@ class WithSky:
         """Returns the Gaussians of `start`, then grey ones on the sphere.
 
         Raises:
-            DatasetError: if the capture lacks what those of `start` are made from.
+            DatasetError: if the capture lacks what those of `start` are made from, or no camera sees them.
         """
         start, cameras = self.start(dataset, sh_degree, seed), [view.camera for view in dataset.train]
+        require_visible(start, dataset)  # those of the sky are always visible
         centre = rig.positions_of(cameras).mean(axis=0)
-        sphere = centre + self.radius * dataset.extent * evenly_on_sphere(self.count)
-        sphere = sphere[seen_by_any(cameras, sphere)].astype(np.float32)
-        if not len(sphere):
-            return start
+        sphere = centre + self.radius * dataset.extent * evenly_on_sphere(self.count).astype(np.float32)
         grey = np.full_like(sphere, 0.5)
         sky = _round_gaussians(sphere, grey, self.opacity, self.scale, sh_degree, dataset.extent)
-        return joined([start, sky])
+        seen = seen_by_any(cameras, sphere)
+        return joined([start, jax.tree.map(lambda leaf: leaf[seen], sky)]) if seen.any() else start
 
 
 @dataclass(frozen=True)
@@ -184,7 +184,7 @@ class FromBlock:
 
 
 def with_sky(start: Initialization) -> Initialization:
-    """Returns an initialization with Gaussians in the sky; those of discs are discs too."""
+    """Returns an initialization that also places Gaussians in the sky. For `Discs`, they are discs too."""
     if isinstance(start, Discs):
         return replace(start, start=with_sky(start.start))
     return WithSky(start)

@@ -50,7 +50,8 @@ class RgbdFrame:
     Attributes:
         camera: camera of the images' size.
         rgb: display-referred colour, in [0, 1].
-        depth: along the camera's axis, in units of the scene; 0 or NaN where it is not measured.
+        depth: along the camera's axis, in units of the scene; 0, NaN or infinite where it is not
+            measured.
     """
 
     camera: Camera
@@ -63,8 +64,8 @@ class RgbdFrame:
         They serve as the landmarks of a training view, `View(..., landmarks=frame.points)`, which
         `training.geometry.Surfaces` compares with the depth of the scene.
         """
-        depth = np.nan_to_num(np.asarray(self.depth))
-        rows, columns = np.nonzero(depth > 0)
+        depth = np.asarray(self.depth)
+        rows, columns = np.nonzero(np.isfinite(depth) & (depth > 0))
         return points_at(self.camera, np.stack([columns, rows], axis=1) + 0.5, depth[rows, columns])
 
 
@@ -124,7 +125,10 @@ def location_search(
     rate = optax.exponential_decay(search.rate, search.steps, search.final)
     rule, steps = optax.adam(rate), jnp.zeros(6)
     state = rule.init(steps)
-    target = jnp.asarray(frame.rgb, jnp.float32), jnp.nan_to_num(jnp.asarray(frame.depth, jnp.float32))
+    target = (
+        jnp.asarray(frame.rgb, jnp.float32),
+        jnp.nan_to_num(jnp.asarray(frame.depth, jnp.float32), posinf=0.0),
+    )
     weights = jnp.array([search.depth_weight, search.most], jnp.float32)
 
     for step in range(search.steps):

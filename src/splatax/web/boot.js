@@ -10,7 +10,8 @@ function bytes(base64) {
 
 function part(name, base64) {
   (parts[name] ??= []).push(bytes(base64));
-  document.getElementById("progress").value += 1;
+  document.currentScript.remove(); // and its text, which is longer than the bytes
+  if (!window.file) document.getElementById("progress").value += 1;
 }
 
 function failed(reason) {

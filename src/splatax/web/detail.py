@@ -13,8 +13,8 @@ from splatax.gaussians import Gaussians
 
 LOD_ABOVE = 300_000  # Gaussians of a page, above which it has previews and level of detail
 PREVIEW = 60_000  # Gaussians of all previews of a page
-SHARE = 0.25  # most Gaussians of a preview, as a fraction of its file's
-SMALLEST = 500  # Gaussians of a file, below which it is its own preview
+LARGEST = 0.25  # fraction of a file's Gaussians that its preview has at most
+SMALLEST = 500  # files of fewer Gaussians have no preview
 
 
 def previews_of(files: Mapping[str, Gaussians], above: int) -> dict[str, Gaussians]:
@@ -30,9 +30,9 @@ def previews_of(files: Mapping[str, Gaussians], above: int) -> dict[str, Gaussia
     total = sum(map(len, files.values()))
     if total <= above:
         return {}
-    share = min(PREVIEW / total, SHARE)
+    fraction = min(PREVIEW / total, LARGEST)
     return {
-        file: preview(gaussians, round(share * len(gaussians)))
+        file: preview(gaussians, max(round(fraction * len(gaussians)), 1))
         for file, gaussians in files.items()
         if len(gaussians) >= SMALLEST
     }
@@ -52,10 +52,10 @@ def preview(gaussians: Gaussians, count: int) -> Gaussians:
     lengths = np.diff(np.append(starts, len(gaussians)))
     weights = weights_of(gaussians)
     totals = np.add.reduceat(weights, starts)
-    shares = weights / np.repeat(totals, lengths)
+    within_run = weights / np.repeat(totals, lengths)
 
     def mean(values: Float[np.ndarray, "n ..."]) -> Float[np.ndarray, "m ..."]:
-        by = shares.reshape(-1, *[1] * (values.ndim - 1)).astype(values.dtype)
+        by = within_run.reshape(-1, *[1] * (values.ndim - 1)).astype(values.dtype)
         return np.add.reduceat(by * values, starts, axis=0)
 
     means = np.asarray(gaussians.means, np.float64)

@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from splatax.backends import portable
-from splatax.backends.cpu import slanted
+from splatax.backends.cpu import drawing, slanted
 from splatax.backends.cpu.library import Build
-from splatax.backends.linear import Dims, linear_call
+from splatax.backends.linear import Dims
 from splatax.backends.portable.composite import DERIVATIVE, directions, forward
 from splatax.backends.protocol import Selection
 from splatax.backends.splat_kernels import (
@@ -42,41 +42,12 @@ def composite(
             f"the native rasterizer gives the gradient of `pull` for up to {MAX_PULLED_CHANNELS} "
             f"channels, not for {channels.shape[1]}: draw the others apart, or choose the backend 'xla'"
         )
-    return _composite(splats, channels, build, max_pairs)
-
-
-@partial(jax.custom_jvp, nondiff_argnums=(2, 3))
-def _composite(splats: Splats, channels: Float[Array, "n c"], build: Build, max_pairs: int):
-    return _draw(splats, channels, build, max_pairs, gradient_follows=False)[:2]
-
-
-@_composite.defjvp
-def _(build: Build, max_pairs: int, primals, tangents):
-    *image, ticket = drawn_image(*primals, build, max_pairs)
-    return tuple(image), derivative_of_image(build, max_pairs, primals, (*image, ticket), tangents)
-
-
-@partial(jax.custom_jvp, nondiff_argnums=(2, 3))
-def drawn_image(splats: Splats, channels: Float[Array, "n c"], build: Build, max_pairs: int):
-    """Returns the image, and the ticket for its derivative. It can be differentiated again."""
-    return _draw(splats, channels, build, max_pairs, gradient_follows=True)
-
-
-@drawn_image.defjvp
-def _(build: Build, max_pairs: int, primals, tangents):
-    drawn = drawn_image(*primals, build, max_pairs)
-    no_tangent = np.zeros(drawn[2].shape, jax.dtypes.float0)
-    return drawn, (*derivative_of_image(build, max_pairs, primals, drawn, tangents), no_tangent)
-
-
-def derivative_of_image(build: Build, max_pairs: int, primals, drawn: tuple[Array, ...], tangents):
-    """Returns the tangents of the image that `drawn_image` returned for splats and channels."""
-    return linear_call(Derivative(build, max_pairs), (*primals, *drawn), directions(*tangents), drawn[:2])
+    return drawing.image(splats, channels, Walk(build, max_pairs))
 
 
 @dataclass(frozen=True)
-class Derivative:
-    """The derivative of the native `composite`.
+class Walk:
+    """The native `composite` and its derivative; see `drawing.Walk`.
 
     Attributes:
         build, max_pairs: see `composite`.
@@ -84,6 +55,22 @@ class Derivative:
 
     build: Build
     max_pairs: int
+
+    def draw(
+        self, splats: Splats, channels: Float[Array, "n c"], gradient_follows: bool
+    ) -> tuple[Array, Array, Array]:
+        """Returns sums, alpha, and a ticket with which the gradient finds the lists of tiles again."""
+        size = (splats.height, splats.width)
+        ticket_type = jax.ShapeDtypeStruct((), jnp.int32)
+        sums, alpha, ticket = self.build.call(
+            "splatax_rasterize_forward",
+            [(*size, channels.shape[1]), size, ticket_type],
+            inputs_of(splats, channels),
+            batches=True,
+            max_pairs=np.int64(self.max_pairs),
+            gradient_follows=np.int64(gradient_follows),
+        )
+        return sums, alpha, ticket
 
     def apply(self, residuals, tangents: tuple[Array, ...]) -> tuple[Array, ...]:
         """Returns the tangents of the image."""
@@ -142,23 +129,6 @@ def _pull_back(residuals, cotangents, build: Build, max_pairs: int):
 @_pull_back.defjvp
 def _(build: Build, max_pairs: int, primals, tangents):
     return _pull_back(*primals, build, max_pairs), second_derivative(primals, tangents)
-
-
-def _draw(
-    splats: Splats, channels: Float[Array, "n c"], build: Build, max_pairs: int, gradient_follows: bool
-) -> tuple[Array, Array, Array]:
-    """Returns sums, alpha, and a ticket with which the gradient finds the lists of tiles again."""
-    size = (splats.height, splats.width)
-    ticket_type = jax.ShapeDtypeStruct((), jnp.int32)
-    sums, alpha, ticket = build.call(
-        "splatax_rasterize_forward",
-        [(*size, channels.shape[1]), size, ticket_type],
-        inputs_of(splats, channels),
-        batches=True,
-        max_pairs=np.int64(max_pairs),
-        gradient_follows=np.int64(gradient_follows),
-    )
-    return sums, alpha, ticket
 
 
 def select(splats: Splats, count: int, build: Build, max_pairs: int) -> Selection:

@@ -14,8 +14,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from splatax import along_rays
+from splatax.backends.cpu import drawing
 from splatax.backends.cpu.library import Build
-from splatax.backends.linear import Dims, linear_call
+from splatax.backends.linear import Dims
 from splatax.backends.portable.composite import DERIVATIVE, directions, forward
 from splatax.backends.portable.slanted import Slanted
 from splatax.backends.splat_kernels import curvature, second_derivative
@@ -43,54 +44,10 @@ def composite(
             f"{GROUP} channels, not for {count}: draw the others apart, or choose the backend 'xla'"
         )
     parts = [
-        _composite(splats, channels[:, first : first + WIDE_GROUP], build, max_pairs)
+        drawing.image(splats, channels[:, first : first + WIDE_GROUP], Walk(build, max_pairs))
         for first in range(0, max(count, 1), WIDE_GROUP)
     ]
     return jnp.concatenate([sums for sums, _ in parts], axis=2), parts[0][1]
-
-
-@partial(jax.custom_jvp, nondiff_argnums=(2, 3))
-def _composite(splats: Splats, channels: Float[Array, "n c"], build: Build, max_pairs: int):
-    return _draw(splats, channels, build, max_pairs, gradient_follows=False)[:2]
-
-
-@_composite.defjvp
-def _(build: Build, max_pairs: int, primals, tangents):
-    *image, ticket = _drawn_image(*primals, build, max_pairs)
-    return tuple(image), _derivative_of_image(build, max_pairs, primals, (*image, ticket), tangents)
-
-
-@partial(jax.custom_jvp, nondiff_argnums=(2, 3))
-def _drawn_image(splats: Splats, channels: Float[Array, "n c"], build: Build, max_pairs: int):
-    """Returns the image, and the ticket for its derivative. It can be differentiated again."""
-    return _draw(splats, channels, build, max_pairs, gradient_follows=True)
-
-
-@_drawn_image.defjvp
-def _(build: Build, max_pairs: int, primals, tangents):
-    drawn = _drawn_image(*primals, build, max_pairs)
-    no_tangent = np.zeros(drawn[2].shape, jax.dtypes.float0)
-    return drawn, (*_derivative_of_image(build, max_pairs, primals, drawn, tangents), no_tangent)
-
-
-def _derivative_of_image(build: Build, max_pairs: int, primals, drawn: tuple[Array, ...], tangents):
-    """Returns the tangents of the image that `_drawn_image` returned for splats and channels."""
-    return linear_call(Derivative(build, max_pairs), (*primals, *drawn), directions(*tangents), drawn[:2])
-
-
-def _draw(
-    splats: Splats, channels: Float[Array, "n c"], build: Build, max_pairs: int, gradient_follows: bool
-) -> tuple[Array, Array, Array]:
-    """Returns sums, alpha, and a ticket with which the gradient finds the lists of tiles again."""
-    size = (splats.height, splats.width)
-    sums, alpha, ticket = build.call(
-        "splatax_slanted_forward",
-        [(*size, _width(channels)), size, jax.ShapeDtypeStruct((), jnp.int32)],
-        inputs_of(splats, channels),
-        max_pairs=np.int64(max_pairs),
-        gradient_follows=np.int64(gradient_follows),
-    )
-    return sums[..., : channels.shape[1]], alpha, ticket
 
 
 def _width(channels: Float[Array, "n c"]) -> int:
@@ -99,8 +56,8 @@ def _width(channels: Float[Array, "n c"]) -> int:
 
 
 @dataclass(frozen=True)
-class Derivative:
-    """The derivative of a walk: backward by the library, forward by the portable kernel.
+class Walk:
+    """A walk and its derivative: backward by the library, forward by the portable kernel.
 
     Attributes:
         build, max_pairs: see `composite`.
@@ -108,6 +65,20 @@ class Derivative:
 
     build: Build
     max_pairs: int
+
+    def draw(
+        self, splats: Splats, channels: Float[Array, "n c"], gradient_follows: bool
+    ) -> tuple[Array, Array, Array]:
+        """Returns sums, alpha, and a ticket with which the gradient finds the lists of tiles again."""
+        size = (splats.height, splats.width)
+        sums, alpha, ticket = self.build.call(
+            "splatax_slanted_forward",
+            [(*size, _width(channels)), size, jax.ShapeDtypeStruct((), jnp.int32)],
+            inputs_of(splats, channels),
+            max_pairs=np.int64(self.max_pairs),
+            gradient_follows=np.int64(gradient_follows),
+        )
+        return sums[..., : channels.shape[1]], alpha, ticket
 
     def apply(self, residuals, tangents: tuple[Array, ...]) -> tuple[Array, ...]:
         """Returns the tangents of the image."""

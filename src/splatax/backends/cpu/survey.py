@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from splatax.backends.cpu.composite import derivative_of_image, drawn_image, select
+from splatax.backends.cpu.composite import Walk, select
+from splatax.backends.cpu.drawing import derivative_of_image, drawn_image
 from splatax.backends.cpu.library import Build
 from splatax.backends.protocol import Composite, Select
 from splatax.backends.splat_kernels import inputs_of
@@ -69,7 +70,7 @@ def _survey(
 def _(sizes: tuple[int, ...], build: Build, max_pairs: int, primals, tangents):
     # A derivative needs the image in the form that the rasterizer keeps for it.
     splats, channels = primals
-    drawn = drawn_image(splats, channels, build, max_pairs)
+    drawn = drawn_image(splats, channels, Walk(build, max_pairs))
     median = select(jax.lax.stop_gradient(splats), 0, build, max_pairs).median
-    image_tangents = derivative_of_image(build, max_pairs, primals, drawn, tangents)
+    image_tangents = derivative_of_image(Walk(build, max_pairs), primals, drawn, tangents)
     return (*drawn[:2], median), (*image_tangents, np.zeros(median.shape, jax.dtypes.float0))

@@ -8,12 +8,13 @@ import re
 import jax
 import numpy as np
 import pytest
+from car import PAINT, PARTS, WHEELS
 from screenshots import picture, psnr
 
 import splatax as sx
 from scenes import camera_at, random_gaussians
 from splatax import web
-from splatax.scene import ColorMap, Option, chosen
+from splatax.scene import chosen
 from splatax.transforms import Similarity
 from splatax.web import detail, page
 
@@ -25,21 +26,9 @@ CAMERAS = {
 SCENE = random_gaussians(n=4000, scale=(0.001, 0.03), spread=0.7)
 ABOVE = 1000  # Gaussians
 LIKE = 30.0  # dB, as without level of detail
-BODY = random_gaussians(0, n=3000, scale=(0.01, 0.04), spread=0.6)
-WHEEL = random_gaussians(1, n=800, scale=(0.02, 0.08), spread=0.5)
 TINY = random_gaussians(2, n=100, scale=(0.02, 0.08), spread=0.5)
-CAR = sx.Scene(
-    {
-        "body": sx.Part(BODY),
-        "wheel": sx.Part(WHEEL, Similarity.of(degrees=(0.0, 70.0, 20.0), scale=0.5, move=(-0.9, 0.4, -0.4))),
-        "sport": sx.Part(WHEEL, Similarity.of(degrees=(90.0, 0.0, 0.0), scale=0.6, move=(0.8, 0.4, -0.4))),
-        "lamp": sx.Part(TINY, Similarity.of(scale=0.3, move=(0.0, -0.8, -0.4))),
-    }
-)
-VARIANTS = {
-    "paint": {"plain": Option(), "red": Option(colors={"body": ColorMap.dye((1.0, 0.2, 0.1))})},
-    "wheels": {"city": Option(shows=("wheel",)), "sport": Option(shows=("sport",))},
-}
+CAR = sx.Scene(PARTS | {"lamp": sx.Part(TINY, Similarity.of(scale=0.3, move=(0.0, -0.8, -0.4)))})
+VARIANTS = {"paint": PAINT, "wheels": WHEELS}
 
 
 @pytest.fixture

@@ -6,37 +6,21 @@ import re
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from car import PAINT, PARTS, WHEELS
 from screenshots import picture, psnr
 
 import splatax as sx
-from scenes import camera_at, random_gaussians
+from scenes import camera_at
 from splatax import web
 from splatax.scene import ColorMap, Option, chosen
-from splatax.transforms import Similarity
 
 SIZE = (320, 240)
 CAMERA = camera_at((0.4, -0.8, -4.0), size=SIZE, focal=280.0)
-BODY = random_gaussians(0, n=3000, scale=(0.01, 0.04), spread=0.6)
-WHEEL = random_gaussians(1, n=800, scale=(0.02, 0.08), spread=0.5)
-SCENE = sx.Scene(
-    {
-        "body": sx.Part(BODY),
-        "wheel": sx.Part(WHEEL, Similarity.of(degrees=(0.0, 70.0, 20.0), scale=0.5, move=(-0.9, 0.4, -0.4))),
-        "sport": sx.Part(WHEEL, Similarity.of(degrees=(90.0, 0.0, 0.0), scale=0.6, move=(0.8, 0.4, -0.4))),
-    }
-)
+SCENE = sx.Scene(PARTS)
 SWAP = ColorMap(np.eye(3, dtype=np.float32)[[1, 2, 0]] * 0.7, np.array([0.2, 0.0, 0.1], np.float32))
 VARIANTS = {
-    "paint": {
-        "plain": Option(),
-        "red": Option(colors={"body": ColorMap.dye((1.0, 0.2, 0.1))}),
-        "<swapped>": Option(colors={"body": SWAP}),
-    },
-    "wheels": {
-        "city": Option(shows=("wheel",)),
-        "sport": Option(shows=("sport",)),
-        "both": Option(shows=("wheel", "sport")),
-    },
+    "paint": PAINT | {"<swapped>": Option(colors={"body": SWAP})},
+    "wheels": WHEELS | {"both": Option(shows=("wheel", "sport"))},
 }
 NOTES = (web.Hotspot((0.0, 0.0, 0.0), "The middle & more"), web.Hotspot((0.8, 0.4, -0.4), "Sport", "sport"))
 LIKE = 34.0  # dB

@@ -26,7 +26,7 @@ from splatax.cli.options import (
     shown_as,
 )
 from splatax.cli.output import say
-from splatax.cli.page import is_page, write_page
+from splatax.cli.page import is_page, tell_losses, write_page
 from splatax.errors import InputError
 from splatax.io import formats
 from splatax.io.datasets.photos import counted
@@ -114,7 +114,6 @@ class Export:
             views = moved(dataset.views, place) if dataset else ()
             cameras = {view.name: view.camera for view in views}
             write_page(self.out, replace(model, gaussians=edited), cameras, self.title, self.background)
-            say(f"loses: {web.LOSES}")
             return
         coarser = editing.levels_of(edited, self.levels)[1:] if self._streamed else ()
         self._save(model, edited, coarser)
@@ -169,7 +168,7 @@ class Export:
         before, after = model.path.stat().st_size, formats.size_of(self.out)
         share = f"{before / after:.1f} x smaller" if after <= before else f"{after / before:.1f} x larger"
         say(f"{self.out}: {count:,} Gaussians, {after / 1e6:.2f} MB ({share})")
-        say(f"loses: {formats.format_of(self.out).LOSES}")
+        tell_losses(self.out)
         if comments and not set(comments) <= set(formats.comments(self.out)):
             say(f"note    {self.out.suffix} files do not keep the scale in metres")
 

@@ -23,10 +23,10 @@ def wallpaper(seed: int = 3) -> np.ndarray:
     return np.clip(128 + 55 * pattern / pattern.std(), 0, 255)
 
 
-def positions() -> np.ndarray:
+def positions(count: int = COUNT) -> np.ndarray:
     """Of the cameras, which are turned towards the corner."""
     rng = np.random.default_rng(5)
-    return np.column_stack([np.linspace(-1.2, 1.2, COUNT), *rng.uniform(-0.25, 0.25, (2, COUNT))])
+    return np.column_stack([np.linspace(-1.2, 1.2, count), *rng.uniform(-0.25, 0.25, (2, count))])
 
 
 def photograph(position, paper, lens: Lens = Pinhole()) -> np.ndarray:

@@ -35,7 +35,7 @@ def dataset():
 def trial(tmp_path):
     """Makes the folder of a trial run which held out five photos, the first of which is bad."""
 
-    def made(photo=NOISE, image=NOISE, keeps=True):
+    def made(photo=NOISE, image=NOISE, keeps=True, steps=3000):
         others = [
             Comparison(ViewScore(f"view{i:02}.png", 30.0, 0.9, 30.1), NOISE, NOISE) for i in range(1, 5)
         ]
@@ -44,7 +44,7 @@ def trial(tmp_path):
         if keeps:
             (tmp_path / held_out.NAME).write_bytes(held_out.stored(gallery.judged))
         scores = json.loads(json.dumps(scores_as_json(Scores(tuple(gallery.scores)))))
-        return FinishedRun("trial", tmp_path, {}, {"test": scores})
+        return FinishedRun("trial", tmp_path, {}, {"test": scores, "steps": steps})
 
     return made
 
@@ -68,6 +68,11 @@ def test_the_cause_is_that_of_the_pictures_of_the_trial(dataset, trial, photo, i
     verdict = verdict_of(dataset, held_out.quoted(trial(photo, image)), unseen=True)
     assert verdict.bad[0].what == "view00.png is clearly different from the photo."
     assert verdict.bad[0].why.startswith(why)
+
+
+def test_a_trial_of_few_steps_is_the_cause_of_missing_detail(dataset, trial):
+    verdict = verdict_of(dataset, held_out.quoted(trial(NOISE, 255 - NOISE, steps=40)), unseen=True)
+    assert "made only 40 steps" in verdict.bad[0].why
 
 
 def test_without_pictures_no_cause_is_named(dataset, trial):

@@ -43,6 +43,10 @@ def test_a_good_scene_is_called_good_and_nothing_is_bad(dataset):
     assert not verdict.bad
 
 
+def test_a_scene_that_matches_no_photo_has_nothing_good(dataset):
+    assert not judged(dataset, [14.0, 15.0, 21.0]).good
+
+
 def test_a_scene_that_is_evenly_poor_is_not_called_faultless(dataset):
     verdict = judged(dataset, [24.0, 24.5, 25.0])
     assert [each.what for each in verdict.bad] == ["No photo is matched well."]

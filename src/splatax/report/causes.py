@@ -42,6 +42,7 @@ class _Known:
         spacings: distance to the nearest training photo by name, in multiples of the usual distance.
         symptoms: of photos by name, for those that have pictures.
         blurred: names of photos that are blurred, compared with the others.
+        hasty: see `Judged`.
     """
 
     bar: float
@@ -49,6 +50,7 @@ class _Known:
     spacings: Mapping[str, float]
     symptoms: Mapping[str, Symptoms]
     blurred: Set[str]
+    hasty: int
 
     @cached_property
     def largest_error(self) -> float:
@@ -77,6 +79,7 @@ def by_cause(dataset: Dataset, judged: Judged, bar: float) -> dict[Cause, list[V
         spacings(dataset),
         judged.symptoms,
         _blurred({name: each.sharpness for name, each in judged.symptoms.items()}),
+        judged.hasty,
     )
     causes: dict[Cause, list[ViewScore]] = {}
     for score in bad:
@@ -119,6 +122,11 @@ def _cause(score: ViewScore, known: _Known) -> Cause:
             "Most of the error is in one small part of the picture: something moved or shines there, or is "
             "in few photos.",
             "Mask what moved, or take more photos of that part.",
+        )
+    if known.hasty:
+        return Cause(
+            f"The run that held it out made only {known.hasty} steps, too few for fine detail.",
+            "Give the command more time.",
         )
     return Cause(
         "The error is spread over the picture: fine detail is missing.",

@@ -70,6 +70,7 @@ class Judged:
         kind: what the photos are, in words.
         scene: what the pictures show beside the photos, in words.
         corrected: true if each PSNR of the scores is the colour-corrected one.
+        hasty: number of steps of the run, if they were too few to show fine detail; else 0.
     """
 
     scores: Sequence[ViewScore]
@@ -79,6 +80,7 @@ class Judged:
     kind: str = "photos"
     scene: str = "the scene"
     corrected: bool = False
+    hasty: int = 0
 
 
 class Gallery:

@@ -13,6 +13,7 @@ from splatax.runs.records import as_json, read_record, typed, typed_fields, unde
 
 NAME = "held_out.json"
 MOST = 6  # photos with pictures, the worst
+ENOUGH = 500  # steps, below which a time budget takes smaller photos too
 WAY_OUT = "Delete it: the report then names only causes that need no pictures."
 
 
@@ -35,17 +36,20 @@ def quoted(run: FinishedRun) -> Judged:
     """
     with understood(run.folder / "metrics.json", AGAIN):
         scores = tuple(map(_score, run.metrics["test"]["views"]))
+    steps = run.metrics["steps"]
+    hasty = steps if steps < ENOUGH else 0
     path = run.folder / NAME
     try:
         contents = read_record(path, WAY_OUT)
     except FileNotFoundError:
-        return Judged(scores)
+        return Judged(scores, hasty=hasty)
     with understood(path, WAY_OUT):
         return Judged(
             scores,
             {name: Symptoms(**typed_fields(Symptoms, each)) for name, each in contents["symptoms"].items()},
             {name: _exhibit(each) for name, each in contents["pictures"].items()},
             None if contents["best"] is None else _exhibit(contents["best"]),
+            hasty=hasty,
         )
 
 

@@ -123,6 +123,8 @@ def _headline(psnrs: np.ndarray, unseen: bool, scene: str) -> str:
 def _good(psnrs: np.ndarray, scores: Sequence[ViewScore], unseen: bool) -> list[str]:
     kind = "that it was not trained on" if unseen else "that it was trained on"
     good, best = int((psnrs >= GOOD).sum()), max(scores, key=lambda score: score.psnr)
+    if best.psnr < POOR:
+        return []
     if not good:
         return [f"The best picture of a photo {kind}, {best.name}, is {grade(best.psnr)}."]
     lines = [

@@ -29,6 +29,20 @@ for script in map(pathlib.Path, sys.argv[1:]):
 """
 
 
+SUFFIXES = {".py", ".md", ".toml", ".sh", ".yaml", ".html", ".js", ".h", ".cc", ".cu", ".cuh"}
+BUILT = "viewer.js"
+
+
+def texts() -> list[Path]:
+    """All texts of the checkout, apart from what is built and other people's packages."""
+    inside = [path for name in ("src", "tests", "docs", "native") for path in (ROOT / name).rglob("*")]
+    return [
+        path
+        for path in [*ROOT.iterdir(), *inside]
+        if path.is_file() and (path.suffix in SUFFIXES or path.name == "Makefile") and path.name != BUILT
+    ]
+
+
 def code_of(page: Path, fence: str) -> str:
     """The blocks of a page, each line at its place, so that a traceback has the page's line numbers."""
     lines, inside = [], False
@@ -118,3 +132,8 @@ def test_a_link_to_a_section_that_does_not_exist_is_found():
         anchor_of("Cameras before training: `--adjust-cameras`") == "cameras-before-training---adjust-cameras"
     )
     assert anchor_of("One [step](a.md): `training/step.py`") == "one-step-trainingsteppy"
+
+
+def test_no_text_installs_a_package_from_an_index_that_does_not_have_it():
+    asked = f"{'splatax'}["  # as in a requirement with extras; a checkout is '.[extra]'
+    assert [named(path) for path in texts() if asked in path.read_text(encoding="utf-8")] == []

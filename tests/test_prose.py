@@ -8,11 +8,15 @@ property or a module opens with a noun phrase. A name is public if no part of it
 
 import ast
 import re
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 
 import splatax
+from splatax.cli.commands import COMMANDS
+from splatax.cli.options import flag
+from splatax.cli.paragraphs import groups_of
 
 ROOT = Path(splatax.__file__).parent
 FORBIDDEN = re.compile(
@@ -137,3 +141,43 @@ def test_archaic_words_are_found():
     assert ARCHAIC.search("It is but a number.")
     assert ARCHAIC.search("The seed. Without it: 0.")
     assert not ARCHAIC.search("It is a recommended button, but a number would do.")
+
+
+OWN_FLAG = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
+COPIED = {"viewer/panels.py"}  # shows a command to copy, with the numbers of a box
+
+
+def flags_of(kinds):
+    """Lists the options of commands, those of their groups and of their own commands too."""
+    for kind in kinds:
+        yield from (flag(field.name) for field in fields(kind))
+        yield from flags_of(groups_of(kind))
+
+
+def strings_in(source):
+    """Yields the string constants of a module with their lines, docstrings and parts of f-strings too."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.lineno, node.value
+
+
+def test_the_library_never_speaks_of_command_line_flags():
+    """It says what is wrong; the command adds which flag helps. The flags of other programs are fine."""
+    own = set(flags_of(command.load() for command in COMMANDS.values()))
+    assert {"--out", "--sh-degree", "--blocks", "--clear", "--budget"} <= own
+    library = {str(path.relative_to(ROOT)): path for path in ROOT.rglob("*.py") if path.parent.name != "cli"}
+    found = [
+        f"{name}:{line} {said}"
+        for name, path in library.items()
+        if name not in COPIED
+        for line, text in strings_in(path.read_text())
+        for said in OWN_FLAG.findall(text)
+        if said in own
+    ]
+    assert found == []
+
+
+def test_a_flag_in_part_of_a_message_is_found():
+    ((_, text),) = strings_in('f"{city}: trained for another plan: --overwrite."')
+    assert OWN_FLAG.findall(text) == ["--overwrite"]
+    assert OWN_FLAG.findall("a run -- of one -v step--by--step") == []

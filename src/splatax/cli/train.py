@@ -185,6 +185,8 @@ class Train:
             reading, kept = with_photos_kept(dataset, room)
             if kept:
                 say(kept)
+            if reading is not dataset:
+                say("to remove the decoded photos: splatax cache --clear")
             checkpoints = Checkpoints(
                 out,
                 facts(asdict(settings), recipe, dataset),

@@ -47,7 +47,7 @@ def problems_of(found: Examination) -> list[Problem]:
 
 def poses(found: Examination) -> Iterator[Problem]:
     if found.dataset is None:
-        fix = f"splatax reconstruct {found.path} --out SCENE"
+        fix = f"Find them: splatax reconstruct {found.path}."
         yield Problem("error", "The photos have no poses, so nothing can be trained on them yet.", fix)
 
 

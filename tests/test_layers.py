@@ -13,7 +13,7 @@ LAYERS = (  # lowest first; a package stands for all its modules
     {"gaussians", "splats", "cameras", "dataset", "resampling", "scene", "transforms", "moving"},
     {"footprints", "projection", "along_rays", "surfaces", "sky", "losses", "metrics", "lpips", "io"},
     {"backends"},
-    {"drawn", "surface_outputs", "outputs", "stages", "rendering", "trajectories"},
+    {"drawn", "surface_outputs", "outputs", "pipeline", "stages", "rendering", "trajectories"},
     {"training", "evaluation", "adjustment", "geometry_scores", "editing", "sensors"},
     {"demo", "bench", "reconstruction", "mesh", "notebook", "twins", "web"},
     {"runs"},
@@ -28,6 +28,16 @@ NEVER = {
     ("io", "projection"),
     ("editing", "io"),
 }  # in reach, but not theirs
+# Modules that look a backend up, beside the commands: entry points, and what starts a run. All others get its kernels.
+LOOK_UP = {
+    "bench/operations",
+    "blocks/visibility",
+    "inspection/pace",
+    "rendering",
+    "stages",
+    "training/loop",
+    "training/rigged",
+}
 OPTIONAL = {"beartype", "hypothesis", "playwright", "pytest"}  # not installed with the product
 
 
@@ -66,6 +76,16 @@ def test_imports_point_down(path, package):
         if top == "splatax" and rest and rest[0] != package:
             assert layer_of(rest[0]) <= layer_of(package), f"{package} imports {name}, which lies above it"
             assert (package, rest[0]) not in NEVER, f"{package} must not know {rest[0]}"
+
+
+def test_a_backend_is_looked_up_by_entry_points_alone():
+    """What they trace, such as `pipeline` and the steps of training, is given kernels."""
+    found = {
+        str(path.relative_to(ROOT).with_suffix(""))
+        for path, package in modules()
+        if package not in ("backends", "cli") and "splatax.backends" in imports(path)
+    }
+    assert found == LOOK_UP
 
 
 def test_files_stay_small_enough_to_read():

@@ -67,11 +67,31 @@ class Objective:
 
 @dataclass(frozen=True)
 class Drawing:
-    """The way in which steps draw the scene that they compare with photos."""
+    """The way in which steps draw the scene that they compare with photos.
+
+    Attributes:
+        background: the colour behind the scene, and behind transparent photos.
+        low_pass: the filter.
+        backend: "auto" or the name of a backend, which a trainer looks up before its first step; or kernels.
+    """
 
     background: Background = Solid()
     low_pass: LowPass = Dilation()
     backend: str | Kernels = "auto"
+
+    @property
+    def kernels(self) -> Kernels:
+        """The kernels. Steps take them from here, so that traced code cannot look a backend up.
+
+        Raises:
+            ValueError: if the backend is still a name.
+        """
+        if isinstance(self.backend, Kernels):
+            return self.backend
+        raise ValueError(
+            f"the recipe names the backend {self.backend!r}, but a step needs its kernels: look them up once, "
+            f"recipe.on(splatax.backends.resolve({self.backend!r}))."
+        )
 
 
 @dataclass(frozen=True)

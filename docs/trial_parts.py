@@ -14,9 +14,9 @@ from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
 from splatax.math import quaternions
 from splatax.outputs import over
+from splatax.pipeline import composite
 from splatax.sky import Sky
 from splatax.splats import Splats
-from splatax.pipeline import composite
 from splatax.training import per_photo
 from splatax.training.feed import Batch
 from splatax.training.optimizer import Adam, free_coefficients

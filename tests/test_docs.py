@@ -14,6 +14,8 @@ from pathlib import Path
 
 import pytest
 
+import splatax as sx
+
 ROOT = Path(__file__).parents[1]
 GENERATED = ROOT / "docs" / "reference.md"
 PAGES = [ROOT / "README.md", *sorted({*(ROOT / "docs").glob("*.md")} - {GENERATED})]
@@ -137,3 +139,8 @@ def test_a_link_to_a_section_that_does_not_exist_is_found():
 def test_no_text_installs_a_package_from_an_index_that_does_not_have_it():
     asked = f"{'splatax'}["  # as in a requirement with extras; a checkout is '.[extra]'
     assert [named(path) for path in texts() if asked in path.read_text(encoding="utf-8")] == []
+
+
+def test_the_newest_part_of_the_changelog_is_that_of_the_present_version():
+    newest = next(line for line in (ROOT / "CHANGELOG.md").read_text().splitlines() if line.startswith("## "))
+    assert newest.split()[1] == sx.__version__

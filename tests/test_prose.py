@@ -19,6 +19,15 @@ from splatax.cli.options import flag
 from splatax.cli.paragraphs import groups_of
 
 ROOT = Path(splatax.__file__).parent
+# Plurals that look like verbs in the third person. "Xs of ..." is a noun phrase, whatever X is.
+NOUNS = re.compile(
+    """areas|arrays|axes|bounds|boxes|bytes|cameras|centres|channels|colours|coordinates|corners|degrees|depths
+    |derivatives|differences|directions|distances|errors|fields|fractions|frames|gaussians|gradients|images
+    |indices|joints|lengths|levels|measurements|metres|milliseconds|moments|normals|numbers|options|pairs
+    |parameters|paths|photos|pixels|points|poses|positions|radii|rates|rays|rotations|rows|seconds|settings
+    |sizes|splats|statistics|tiles|values|variances|vectors|vertices|views""",
+    re.IGNORECASE | re.VERBOSE,
+)
 FORBIDDEN = re.compile(
     """about|above|after|against|along|among|and|around|as|at|because|before|behind|below|beside|between|beyond
     |but|by|during|except|for|from|how|if|in|inside|into|like|near|of|off|on|onto|or|out|outside|over|per|since
@@ -75,6 +84,8 @@ def faults(source):
             found.append(f"{name}: opens with {first!r}")
         elif kind == "function" and not (first.isalpha() and first[0].isupper() and first.endswith("s")):
             found.append(f"{name}: a function opens with a verb in the third person, not {first!r}")
+        elif kind == "function" and (NOUNS.fullmatch(first) or text.split()[1:2] == ["of"]):
+            found.append(f"{name}: a function opens with a verb, and {first!r} is a noun")
     return found
 
 
@@ -92,6 +103,8 @@ def test_docstrings_of_public_names_open_with_a_sentence(path):
         ('def key():\n    """Of the steps."""', "opens with 'Of'"),
         ('def key():\n    """The key of a step."""', "third person"),
         ('def key():\n    """`key` of a step."""', "third person"),
+        ('def keys():\n    """Keys of a step."""', "'Keys' is a noun"),
+        ('def axes():\n    """Rows: right and up."""', "'Rows' is a noun"),
         ('class Key:\n    """So many times as many."""', "opens with 'So'"),
         ('class Key:\n    seed: int\n    """Of all randomness."""', "Key.seed: opens with 'Of'"),
         (
@@ -109,6 +122,8 @@ def test_fragments_are_found(source, fault):
     "source",
     [
         '"""Scenes to time."""',
+        'def count():\n    """Counts the keys of a step."""',
+        'class Key:\n    @property\n    def rows(self):\n        """Rows of the key."""',
         'def key():\n    """Returns the key of a step."""',
         'def _key():\n    """Of the steps."""',
         'class Key:\n    @property\n    def old(self):\n        """True if the key was used."""',

@@ -1,7 +1,7 @@
 """render = rasterize . project: from a scene and a camera to a picture.
 
-The functions here are the public entry points. They check shapes and dtypes, so that kernels never get malformed
-arrays, and look the backend up once. What they trace gets its kernels, and cannot look one up.
+The functions here are the public entry points. They check shapes and dtypes, so that kernels never get
+malformed arrays, and look the backend up once. What they trace gets its kernels, and cannot look one up.
 """
 
 from collections.abc import Mapping, Sequence
@@ -49,9 +49,8 @@ BLENDED = tuple(OUTPUTS[name] for name in ("rgb", "alpha", "depth"))  # outputs 
 Source = tuple[Drawable, Camera] | None  # None where splats are drawn by themselves
 Named = dict[tuple[str, str], Array]  # by kind ("image" or "feature") and name
 Features = Mapping[str, Float[Array, "n _"]]
-BackgroundLike = (
-    tuple[float, float, float] | BackgroundArray | Float[np.ndarray, "3"] | Float[np.ndarray, "h w 3"]
-)
+Color = tuple[float, float, float] | Float[Array, "3"] | Float[np.ndarray, "3"]  # RGB in [0, 1]
+BackgroundLike = Color | BackgroundArray | Float[np.ndarray, "h w 3"]  # one colour, or one for each pixel
 
 
 @jax.tree_util.register_dataclass

@@ -11,8 +11,8 @@ from test_training import capture, run
 import splatax as sx
 from scenes import camera_at
 from splatax.demo.capture import write_capture
-from splatax.training.optimizer import LearningRates
-from splatax.training.recipes import PRESETS, Drawing, ShSchedule, rates_for, room_for, steps_for
+from splatax.training.optimizer import LearningRates, rates_for
+from splatax.training.recipes import PRESETS, Drawing, ShSchedule, room_for, steps_for
 
 
 @pytest.mark.parametrize("name", PRESETS)

@@ -174,4 +174,5 @@ def test_a_long_line_of_prose_is_found_and_a_long_table_code_or_link_is_not():
     long = "word " * 30
     assert too_long(f"{long}\n- {long}\n\n{long}") == [1, 2, 4]
     link = f"https://example.org/{'a' * 120}"
-    assert too_long(f"| {long} |\n```\n{long}\n```\n\n    {long}\n\n- {link}\n{link}\n# {long}\n$$ {long} $$") == []
+    assert too_long(f"| {long} |\n```\n{long}\n```\n\n    {long}\n\n# {long}\n$$ {long} $$") == []
+    assert too_long(f"- {link}\n{link}") == []

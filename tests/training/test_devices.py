@@ -4,9 +4,12 @@ import re
 import socket
 import subprocess
 import sys
+from collections import Counter
 from dataclasses import replace
 from functools import cache, partial
+from itertools import chain, islice
 from pathlib import Path
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,8 +24,8 @@ from emitters import as_users_compile
 from splatax import backends
 from splatax.runs.scaling import bytes_exchanged
 from splatax.training.density import NoDensityControl
-from splatax.training.devices import devices_for
-from splatax.training.feed import FIRST, batch
+from splatax.training.devices import BLOCK, devices_for
+from splatax.training.feed import FIRST, READERS, batch
 from splatax.training.groups import grouped
 from splatax.training.loop import first_state
 from splatax.training.optimizer import LearningRates, Optimizer
@@ -36,70 +39,54 @@ needs_cpu = pytest.mark.skipif(
 )
 
 
+class Trained(NamedTuple):
+    """What a run prints."""
+
+    first: int
+    last: int
+    owners: int  # of living Gaussians, the fewest at any step
+    digest: str  # of all arrays that a checkpoint holds
+    loss: str
+
+    @property
+    def same(self):
+        return self.last, self.digest, self.loss
+
+    @property
+    def has_grown(self):
+        return self.last > self.first > 7 * BLOCK
+
+
 def program(*arguments):
     return [sys.executable, str(HERE / "on_devices.py"), *arguments]
 
 
 def results(output):
-    """Number of Gaussians, digest and loss by number of devices; the collectives print between."""
-    return {int(devices): rest.split() for devices, rest in re.findall(r"run (\d+) (.*)", output)}
+    """Results by number of devices; the collectives print between."""
+    lines = re.findall(r"run (\d+) (\d+) (\d+) (\d+) (\w+) (\S+)", output)
+    return {int(devices): Trained(*map(int, found[:3]), *found[3:]) for devices, *found in lines}
 
 
 @cache
+def printed(*arguments):
+    return subprocess.run(
+        program(*arguments), check=True, capture_output=True, text=True, env=ENVIRONMENT
+    ).stdout
+
+
 def trained(*arguments):
-    found = subprocess.run(
-        program(*arguments),
-        check=True,
-        capture_output=True,
-        text=True,
-        env=ENVIRONMENT,
-    )
-    return results(found.stdout)
+    return results(printed(*arguments))
 
 
-ON_EACH = ("default", "--devices", "1", "2", "8")
-
-
-@needs_cpu
-def test_scene_and_moments_are_the_same_bits_on_1_2_and_8_devices():
-    found = trained(*ON_EACH)
-    assert len(found) == 3
-    assert found[1] == found[2] == found[8]
-    assert int(found[1][0]) > 80, "the scene must have grown, so that refinement is part of the comparison"
-
-
-@needs_cpu
-@pytest.mark.slow
-def test_all_parts_of_a_recipe_together_have_the_same_bits_on_1_and_8_devices():
-    """Penalties on surfaces, exposures, poses and weights of photos in one run."""
-    found = trained("classic", "--per-photo", "--geometry", "--devices", "1", "8")
-    assert found[1] == found[8]
-    assert int(found[1][0]) > 80
-
-
-@pytest.mark.slow
-@needs_cpu
-def test_a_run_resumes_on_another_number_of_devices_with_the_same_bits():
-    resumed = trained("default", "--resume", "--devices", "2", "8")
-    assert trained(*ON_EACH)[8] == resumed[8]
-
-
-@needs_cpu
-def test_a_step_exchanges_as_many_bytes_as_the_model_of_many_devices_counts():
-    counted = int(trained("default", "--bytes", "--devices", "8")[8][0])
-    modelled = bytes_exchanged(16_384)
-    assert modelled <= counted < modelled + 1024, "beside splats and cotangents, a few numbers travel"
-
-
-@needs_cpu
-@pytest.mark.slow
-def test_two_processes_of_four_devices_train_the_same_bits_as_one_of_eight():
+@cache
+def trained_by_two(*arguments):
+    """What each of two processes with four devices prints."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = str(free.getsockname()[1])
     both = [
         subprocess.Popen(
-            program("default", "--host", port, "2", index),
+            program(*arguments, "--host", port, "2", index),
             stdout=subprocess.PIPE,
             text=True,
             env=ENVIRONMENT,
@@ -108,7 +95,77 @@ def test_two_processes_of_four_devices_train_the_same_bits_as_one_of_eight():
     ]
     outputs = [process.communicate()[0] for process in both]
     assert [process.returncode for process in both] == [0, 0]
-    assert results(outputs[0]) == results(outputs[1]) == {8: trained(*ON_EACH)[8]}
+    return outputs
+
+
+ON_EACH = ("default", "--devices", "1", "2", "4", "8")
+PER_PHOTO = ("classic", "--per-photo")
+
+
+@needs_cpu
+@pytest.mark.slow
+@pytest.mark.parametrize("arguments", [ON_EACH, (*PER_PHOTO, *ON_EACH[1:])])
+def test_a_scene_that_all_devices_own_a_part_of_is_the_same_bits_on_1_2_4_and_8(arguments):
+    found = trained(*arguments)
+    assert {number: run.owners for number, run in found.items()} == {1: 1, 2: 2, 4: 4, 8: 8}
+    assert found[8].has_grown, "density control must be part of the comparison"
+    assert len({run.same for run in found.values()}) == 1
+
+
+@needs_cpu
+def test_scene_and_moments_are_the_same_bits_on_1_and_8_devices():
+    found = trained("default", "--devices", "1", "8")
+    assert (found[1].owners, found[8].owners) == (1, 8)
+    assert found[8].has_grown
+    assert found[1].same == found[8].same
+
+
+@needs_cpu
+@pytest.mark.slow
+def test_all_parts_of_a_recipe_together_have_the_same_bits_on_1_and_8_devices():
+    """Penalties on surfaces, exposures, poses and weights of photos in one run."""
+    found = trained("classic", "--per-photo", "--geometry", "--devices", "1", "8")
+    assert found[8].owners == 8
+    assert found[8].has_grown
+    assert found[1].same == found[8].same
+
+
+@pytest.mark.slow
+@needs_cpu
+def test_a_run_resumes_on_another_number_of_devices_with_the_same_bits():
+    resumed = trained("default", "--resume", "--devices", "2", "8")
+    assert trained(*ON_EACH)[8].same == resumed[8].same
+
+
+@needs_cpu
+def test_a_step_exchanges_as_many_bytes_as_the_model_of_many_devices_counts():
+    counted = int(re.search(r"run 8 (\d+)", printed("default", "--bytes", "--devices", "8"))[1])
+    modelled = bytes_exchanged(16_384)
+    assert modelled <= counted < modelled + 1024, "beside splats and cotangents, a few numbers travel"
+
+
+@needs_cpu
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [("default",), PER_PHOTO])
+def test_two_processes_of_four_devices_train_the_same_bits_as_one_of_eight(options):
+    ours, theirs = (results(output)[8] for output in trained_by_two(*options))
+    assert ours == theirs
+    assert ours.owners == 4, "each process sees its own devices"
+    assert ours.same == trained(*options, *ON_EACH[1:])[8].same
+
+
+@needs_cpu
+@pytest.mark.slow
+def test_a_process_decodes_only_the_photos_that_its_devices_draw():
+    """No photo is kept in memory, so each use of one is a read; some steps are read ahead."""
+    steps, views, ahead = 8, 8, READERS
+    groups = list(islice(grouped(["alike"] * 11, views, seed=0), steps + ahead))
+    names = [view.name for view in capture(views=12).train]
+    for index, output in enumerate(trained_by_two("default")):
+        drawn = [[names[i] for i in group[4 * index : 4 * index + 4]] for group in groups]
+        needed, most = (Counter(chain(*drawn[:until])) for until in (steps, None))
+        read = Counter(re.search(r"read ((?:\d+\.png ?)+)", output)[1].split())
+        assert needed <= read <= most
 
 
 def test_training_on_several_views_a_step_learns():

@@ -4,10 +4,11 @@ import re
 import socket
 import subprocess
 import sys
+import threading
 from collections import Counter
 from dataclasses import replace
 from functools import cache, partial
-from itertools import chain, islice
+from itertools import chain, count, islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,9 +25,9 @@ from emitters import as_users_compile
 from splatax import backends
 from splatax.runs.scaling import bytes_exchanged
 from splatax.training.density import NoDensityControl
-from splatax.training.devices import BLOCK, devices_for
+from splatax.training.devices import BLOCK, Dealt, devices_for
 from splatax.training.feed import FIRST, READERS, batch
-from splatax.training.groups import grouped
+from splatax.training.groups import grouped, steps_of
 from splatax.training.loop import first_state
 from splatax.training.optimizer import LearningRates, Optimizer
 from splatax.training.recipes import ShSchedule, with_views
@@ -237,3 +238,41 @@ def test_photos_with_and_without_alpha_share_a_step():
     scenes = [sx.fit(dataset, recipe) for dataset in (opaque, mixed)]
     for ours, theirs in zip(*map(jax.tree.leaves, scenes), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-6)  # two programs
+
+
+def test_photos_of_a_step_are_decoded_at_the_same_time(monkeypatch):
+    """Photos wait for each other in pairs, so two threads must decode them."""
+    monkeypatch.setattr("splatax.training.groups.cores", lambda: 2)
+    meeting, numbers = threading.Barrier(2), count()
+
+    def met(view):
+        def pixels():
+            if next(numbers) < 4:
+                meeting.wait(timeout=60)
+            return view.pixels()
+
+        return replace(view, pixels=pixels)
+
+    views, recipe = [met(view) for view in capture(views=5).train], with_views(RECIPE, 4)
+    steps = steps_of(views, recipe, 0, recipe.resolution, Dealt(devices_for(4, jax.devices()[:1])))
+    assert next(steps).photo.shape[0] == 4
+    steps.close()
+
+
+def test_steps_that_follow_do_not_depend_on_threads_or_on_where_a_run_starts(monkeypatch):
+    views, recipe = capture(views=8).train, with_views(RECIPE, 3)
+
+    def photos(threads, start):
+        monkeypatch.setattr("splatax.training.groups.cores", lambda: threads)
+        dealt = Dealt(devices_for(3, jax.devices()[:1]))
+        steps = steps_of(views, recipe, start, recipe.resolution, dealt)
+        found = [np.asarray(seen.photo) for seen in islice(steps, 6 - start)]
+        steps.close()
+        return found
+
+    one = photos(1, 0)
+    assert len({photo.tobytes() for photo in one}) == 6
+    for ours, theirs in zip(one, photos(7, 0), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    for ours, theirs in zip(one[2:], photos(7, 2), strict=True):
+        np.testing.assert_array_equal(ours, theirs)

@@ -13,10 +13,11 @@ from test_refusals import refused
 
 from captures import write_capture, write_transforms
 from emitters import as_users_compile
-from splatax import backends
+from splatax import backends, cli
 from splatax.cli import hosts
 from splatax.cli.preparing import loaded
 from splatax.cli.settings import Settings
+from splatax.cli.train import Train
 from splatax.io.datasets.points import write_points
 from splatax.runs.cameras import write_cameras
 from splatax.training.fingerprints import fingerprint
@@ -168,5 +169,25 @@ def test_hosts_that_make_no_sense_are_refused(capsys, capture):
     assert "ADDRESS:PORT,COUNT,INDEX" in refused(capsys, "train", capture, "--hosts", "10.0.0.1,2")
 
 
-def test_several_photos_a_step_need_a_number_of_steps(capsys, capture):
-    assert "--steps" in refused(capsys, "train", capture, "--views", "4")
+def test_several_photos_a_step_see_as_many_photos_as_one_a_step_by_default(
+    capsys, capture, tmp_path, monkeypatch
+):
+    recipes = []
+
+    def steps(command, session, start):
+        recipes.append(session.recipe)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Train, "steps", steps)
+    with pytest.raises(SystemExit):
+        cli.main(["train", str(capture), "--views", "8", "--out", str(tmp_path / "run")])
+    assert [(recipe.steps, recipe.views) for recipe in recipes] == [(3_750, 8)]
+    line = "3,750 steps of 8 photos, 30,000 photos in all. Choose another number: --steps\n"
+    assert line in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("limit", ["--budget", "--within"])
+def test_a_time_is_not_planned_for_several_photos_a_step(capsys, capture, limit):
+    error = refused(capsys, "train", capture, "--views", "4", limit, "5min")
+    assert error.startswith(f"splatax: {limit}: ")
+    assert "--steps" in error

@@ -112,10 +112,12 @@ class Train:
             InputError: if a budget has nothing left to plan.
         """
         name = "within" if self.limits.within is not None else "budget"
-        if settings.views > 1 and self.limits.steps is None:
-            raise InputError(
-                "--views: a time budget is planned for steps of one photo. Give a number of steps: --steps."
-            )
+        if settings.views > 1:
+            if settings.budget is not None or self.limits.within is not None:
+                raise InputError(
+                    f"{flag(name)}: plans steps of one photo. With --views, leave it out, or give --steps."
+                )
+            return settings, None
         plannable = PRESETS[settings.recipe].plannable and self.limits.steps is None
         if settings.budget is None and self.limits.within is None:
             if not plannable:
@@ -245,12 +247,14 @@ class Train:
 
 
 def with_steps(settings: Settings, dataset: Dataset) -> Settings:
-    """Returns settings with a number of steps that follows the number of photos, and prints it if it does."""
-    steps = steps_for(dataset)
-    if steps > settings.steps:
+    """Returns settings with a number of steps that follows the number of photos; prints it unless 30,000."""
+    photos, choose = steps_for(dataset), "Choose another number: --steps"
+    steps = -(-photos // settings.views)
+    if settings.views > 1:
+        say(f"{steps:,} steps of {counted(settings.views)}, {photos:,} photos in all. {choose}")
+    elif steps > settings.steps:
         count = photos_in(dataset.train)
-        each = f"{steps // count} for each of {counted(count)}"
-        say(f"{steps:,} steps, {each}. Choose another number: --steps")
+        say(f"{steps:,} steps, {steps // count} for each of {counted(count)}. {choose}")
     return replace(settings, steps=steps)
 
 

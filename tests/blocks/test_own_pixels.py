@@ -13,7 +13,7 @@ from splatax.blocks.plan import BlockPlan, Plan, digest_of, write_plan
 from splatax.blocks.visibility import SIDE, own_pixels
 from splatax.dataset import Dataset, PointCloud, View
 from splatax.gaussians import joined
-from splatax.training.checkpoint import fingerprint
+from splatax.training.fingerprints import fingerprint
 
 
 def ball(x, z=0.0, opacity=0.99):

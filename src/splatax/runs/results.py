@@ -258,8 +258,8 @@ def conclude(results: Results, checkpoints: Checkpoints, audience: Audience | No
 
 
 def examples(views: Sequence[View]) -> Sequence[View]:
-    """Returns at most `SHOWN` of the views, evenly spaced."""
-    return views[:: -(-len(views) // SHOWN) or 1]
+    """Returns at most `SHOWN` of the views, evenly spaced, with their photos as they were taken."""
+    return [view.as_taken() for view in views[:: -(-len(views) // SHOWN) or 1]]
 
 
 def protocol(background: Color, dataset: Dataset) -> dict[str, str]:

@@ -33,7 +33,14 @@ def read_json(path):
 
 def test_train_writes_the_scene_its_measures_and_its_report(trained):
     names = {path.name for path in trained.iterdir()}
-    assert names == {"scene.ply", "metrics.json", "config.json", "report.html", "progress.gif"}
+    assert names == {
+        "scene.ply",
+        "metrics.json",
+        "config.json",
+        "held_out.json",
+        "report.html",
+        "progress.gif",
+    }
     metrics = read_json(trained / "metrics.json")
     assert metrics["steps"] == 6
     assert metrics["gaussians"] == len(sx.load(trained / "scene.ply")) == 30

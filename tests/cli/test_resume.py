@@ -144,7 +144,7 @@ def test_a_run_that_was_stopped_again_and_again_ends_with_the_same_bytes(
             go_on(tmp_path / "run")
     monkeypatch.setattr(session, "optimize", sx.training.loop.optimize)
     go_on(tmp_path / "run")
-    for name in ("scene.ply", "progress.gif"):
+    for name in ("scene.ply", "progress.gif", "held_out.json"):
         assert (tmp_path / "run" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
     whole, run = (json.loads((tmp_path / f / "metrics.json").read_text()) for f in ("whole", "run"))
     for key in ("test", "steps", "gaussians", "final_loss", "interrupted"):

@@ -52,7 +52,7 @@ class Plan:
 
     Attributes:
         options: of the run of each block, by the names of the command line.
-        capture: its fingerprint; see `training.checkpoint.fingerprint`.
+        capture: its fingerprint; see `training.fingerprints.fingerprint`.
         coarse: file of the coarse scene.
         coarse_digest: of the contents of that file.
         axes: of the ground plane: unit vectors in the world.

@@ -46,6 +46,11 @@ def device() -> str:
     return f"{len(jax.devices())} x {kind}"
 
 
+def processor() -> str:
+    """Returns the name of the processor whose roundings decide a result: a device, or the CPU."""
+    return cpu_name() if jax.default_backend() == "cpu" else str(jax.devices()[0].device_kind)
+
+
 def cpu_name() -> str:
     """Returns the processor's own name where the system knows it."""
     try:

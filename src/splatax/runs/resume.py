@@ -14,6 +14,7 @@ from splatax.runs.machine import DECISIVE, device, versions
 from splatax.runs.records import as_json, understood
 from splatax.training import checkpoint
 from splatax.training.checkpoint import Checkpoint
+from splatax.training.fingerprints import fingerprint
 from splatax.training.loop import RunState
 from splatax.training.recipes import Recipe
 
@@ -97,7 +98,7 @@ def facts(options: Mapping[str, Any], recipe: Recipe, dataset: Dataset) -> dict[
     return {
         "options": as_json(options),
         "recipe": as_json(recipe),
-        "capture": checkpoint.fingerprint(dataset),
+        "capture": fingerprint(dataset),
         "versions": {name: versions()[name] for name in DECISIVE},
         "device": device(),
     }

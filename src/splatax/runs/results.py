@@ -21,6 +21,7 @@ from splatax.geometry_scores import evaluate_geometry
 from splatax.io import formats
 from splatax.io.datasets import colmap_writing, motions
 from splatax.io.files import explained, write_whole
+from splatax.rendering import Color
 from splatax.runs.checkpoints import Checkpoints, files
 from splatax.runs.finished import FinishedRun
 from splatax.runs.history import Evaluation, History, Picture
@@ -257,14 +258,14 @@ def conclude(results: Results, checkpoints: Checkpoints, audience: Audience | No
 
 
 def examples(views: Sequence[View]) -> Sequence[View]:
-    """Returns at most `SHOWN` of the views, evenly spaced."""
-    return views[:: -(-len(views) // SHOWN) or 1]
+    """Returns at most `SHOWN` of the views, evenly spaced, with their photos as they were taken."""
+    return [view.as_taken() for view in views[:: -(-len(views) // SHOWN) or 1]]
 
 
-def protocol(background: tuple[float, float, float], dataset: Dataset) -> dict[str, str]:
+def protocol(background: Color, dataset: Dataset) -> dict[str, str]:
     """Returns how the scores of a capture's held-out photos are made, in words."""
     split = f"held out: {dataset.split or 'as given'}"
-    return {"split": split, **PROTOCOL, "background": str(background)}
+    return {"split": split, **PROTOCOL, "background": str(tuple(float(value) for value in background))}
 
 
 def scores_as_json(scores: Scores) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from splatax.backends.protocol import Kernels
 from splatax.cameras import Camera
 from splatax.drawn import Drawn, Seen, planes_of, unrolled
 from splatax.outputs import Output
-from splatax.stages import composite
+from splatax.pipeline import composite
 from splatax.surface_outputs import from_middle, surface_channels, surface_depth
 from splatax.surfaces import normals_of
 from splatax.training.canvases import mean_over
@@ -229,7 +229,8 @@ def drawn(
         kernels: kernels that blend the channels.
     """
     ends = np.cumsum([values.shape[1] for values in channels.values()])
-    sums, alpha = composite(seen.splats, jnp.concatenate(list(channels.values()), axis=1), backend=kernels)
+    stacked = jnp.concatenate(list(channels.values()), axis=1)
+    sums, alpha = composite(seen.splats, stacked, kernels)
     view = Drawn(None, alpha, None, seen, jnp.zeros(3, sums.dtype))
     return {
         name: outputs[name].finish(view._replace(sums=part))

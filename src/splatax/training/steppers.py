@@ -1,6 +1,6 @@
 """Makers of steps: on one view by one device, or on several views by several devices."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, runtime_checkable
 
@@ -16,6 +16,7 @@ from splatax.training.devices import Dealt, devices_for
 from splatax.training.feed import Batch, batches
 from splatax.training.groups import steps_of
 from splatax.training.photo_cache import PhotoCache
+from splatax.training.processes import require_alike
 from splatax.training.protocols import ResolutionSchedule
 from splatax.training.recipes import Recipe
 from splatax.training.schedule import Schedule
@@ -29,6 +30,17 @@ MOST_PROGRAMS = 4  # of training steps for a scene of one size; one takes second
 @runtime_checkable
 class Stepper(Protocol):
     """Feeds and makes steps, and knows where the arrays of a run live."""
+
+    def meet(self, facts: Callable[[], Mapping[str, str]]) -> None:
+        """Waits for the other processes that make the steps, if there are any, before the first one.
+
+        Args:
+            facts: returns what decides the run, in short texts by what they are about.
+
+        Raises:
+            InputError: if the facts of the processes differ.
+        """
+        ...
 
     def placed(self, state: TrainState) -> TrainState:
         """Returns a state for `step`, from one whose rows are in order."""
@@ -58,6 +70,9 @@ class OneView:
     """
 
     surroundings: Mapping[str, Any] = field(default_factory=dict)
+
+    def meet(self, facts: Callable[[], Mapping[str, str]]) -> None:
+        """Returns at once."""
 
     def placed(self, state: TrainState) -> TrainState:
         """Returns the state as it is."""
@@ -91,6 +106,12 @@ class SeveralViews:
 
     dealt: Dealt
     surroundings: Mapping[str, Any] = field(default_factory=dict)
+
+    def meet(self, facts: Callable[[], Mapping[str, str]]) -> None:
+        """Compares facts with the processes of the other devices, and connects the devices."""
+        if self.dealt.by_processes:
+            require_alike(facts())
+            self.dealt.connect()
 
     def placed(self, state: TrainState) -> TrainState:
         """Distributes the rows of a state over the devices."""

@@ -116,10 +116,7 @@ def read_plan(city: Path) -> Plan:
     """
     path = city / PLAN
     if not path.is_file():
-        raise InputError(
-            f"{city}: no {PLAN} in it. Plan the blocks first: splatax blocks plan CAPTURE --out {city} "
-            "--blocks N."
-        )
+        raise InputError(f"{city}: no {PLAN} in it. Plan the blocks first: splatax blocks plan.")
     contents = read_record(path, AGAIN)
     with understood(path, AGAIN):
         blocks = []

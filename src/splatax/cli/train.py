@@ -16,7 +16,7 @@ from splatax.cli.finishing import written
 from splatax.cli.hosts import follow, joined, tell
 from splatax.cli.interruption import Interruption
 from splatax.cli.options import flag, given, parsed, shown_as
-from splatax.cli.output import say
+from splatax.cli.output import complain, say
 from splatax.cli.preparing import loaded, planned, prepared
 from splatax.cli.settings import NAMES, Settings, as_started
 from splatax.cli.train_options import Devices, Limits, Live, Method, Photos, Rerun, Saving
@@ -28,7 +28,7 @@ from splatax.io.memory import decoding
 from splatax.runs.budget import DEFAULT_BUDGET, Changes, Clock, Expected, parse_seconds
 from splatax.runs.checkpoints import Checkpoints
 from splatax.runs.claim import claimed_for_run
-from splatax.runs.finished import finished, read_runs
+from splatax.runs.finished import finished, read_runs, version_changes
 from splatax.runs.history import History
 from splatax.runs.keeping import with_photos_kept
 from splatax.runs.planning import Deadline, gigabytes, room_within
@@ -93,6 +93,8 @@ class Train:
             self.train(settings, earlier.history, earlier=earlier)
         elif self.rerun.repeat is not None:
             stored, made = finished(self.rerun.repeat, NAMES)
+            if changes := version_changes(self.rerun.repeat):
+                complain(f"warning: the scene will not have the same bytes: {'; '.join(changes)}")
             with understood(self.rerun.repeat, "Repeat another run."):
                 free = MAY_CHANGE | {"out", "overwrite"}
                 settings = as_started(Settings, stored | NOT_REPEATED, chosen, free)
@@ -189,6 +191,8 @@ class Train:
             reading, kept = with_photos_kept(dataset, room)
             if kept:
                 say(kept)
+            if reading is not dataset:
+                say("to remove the decoded photos: splatax cache --clear")
             checkpoints = Checkpoints(
                 out,
                 facts(asdict(settings), recipe, dataset),

@@ -97,7 +97,7 @@ class Devices:
     """Train together with other processes, which run the same command; needs --views. "auto": as JAX finds
     them (SLURM, Open MPI, Kubernetes, TPU pods); else the address of process 0, the number of processes, and
     the index of this one, from 0. Process 0 decides, and writes the results. Checkpoints are saved every
-    --checkpoint-steps steps."""
+    --checkpoint-steps steps. splatax create runs in one process and refuses this option."""
 
 
 @dataclass(frozen=True)

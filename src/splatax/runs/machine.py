@@ -8,7 +8,10 @@ from pathlib import Path
 
 import jax
 
-PACKAGES = ("splatax", "jax", "jaxlib", "numpy", "optax", "pycolmap")
+import splatax
+
+PACKAGES = ("jax", "jaxlib", "numpy", "optax", "pycolmap")
+DECISIVE = ("splatax", "jax", "jaxlib", "numpy", "optax")  # packages whose version decides what a step does
 
 
 def peak_memory() -> int | None:
@@ -31,7 +34,8 @@ def physical_memory() -> int | None:
 
 def versions() -> dict[str, str]:
     """Returns the versions of Python and of the packages that decide a result."""
-    return {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
+    own = {"python": platform.python_version(), "splatax": splatax.__version__}  # of the code that runs
+    return own | {name: version(name) for name in PACKAGES}
 
 
 def device() -> str:

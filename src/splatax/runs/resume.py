@@ -10,7 +10,7 @@ from splatax.dataset import Dataset
 from splatax.errors import FormatError, InputError
 from splatax.runs.checkpoints import FOLDER, files
 from splatax.runs.history import History, unpacked
-from splatax.runs.machine import device, versions
+from splatax.runs.machine import DECISIVE, device, versions
 from splatax.runs.records import as_json, understood
 from splatax.training import checkpoint
 from splatax.training.checkpoint import Checkpoint
@@ -19,8 +19,6 @@ from splatax.training.loop import RunState
 from splatax.training.recipes import Recipe
 
 Run = TypeVar("Run")
-DECISIVE = ("splatax", "jax", "jaxlib", "numpy", "optax")  # packages whose version decides what a step does
-
 FACTS = {"options": dict, "recipe": dict, "capture": dict, "versions": dict, "device": str}
 TRAIN = "train"  # the command of runs that do not name theirs among their options
 OTHER = "Resume from another one in its folder, or start the run again."

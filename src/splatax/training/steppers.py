@@ -86,7 +86,7 @@ class OneView:
         self, views: Sequence[View], recipe: Recipe, done: int, schedule: Schedule, room: int | float
     ) -> Iterator[Batch]:
         """Yields one view after the other."""
-        photos = PhotoCache(views, room, canvases_of(views, recipe, schedule))
+        photos = PhotoCache(views, room, canvases_of(views, schedule))
         geometry = bool(recipe.objective.geometry.outputs)
         return batches(views, recipe.seed, done, schedule, photos, geometry)
 
@@ -125,7 +125,7 @@ class SeveralViews:
         self, views: Sequence[View], recipe: Recipe, done: int, schedule: Schedule, room: int | float
     ) -> Iterator[Views]:
         """Yields the views of one step after the other."""
-        photos = PhotoCache(views, room, canvases_of(views, recipe, schedule))
+        photos = PhotoCache(views, room, canvases_of(views, schedule))
         return steps_of(views, recipe, done, schedule, self.dealt, photos)
 
     def step(self, state: TrainState, seen: Views, recipe: Recipe) -> tuple[TrainState, Float[Array, ""]]:
@@ -137,17 +137,12 @@ class SeveralViews:
         )
 
 
-def canvases_of(
-    views: Sequence[View], recipe: Recipe, resolution: ResolutionSchedule
-) -> list[Size | None] | None:
+def canvases_of(views: Sequence[View], resolution: ResolutionSchedule) -> list[Size | None] | None:
     """Returns the canvas of each photo, so that a scene of one size compiles at most `MOST_PROGRAMS` steps.
 
     Each combination of an image size, a factor of downscaling and a kind of lens is a program. A capture
-    whose photos need no more has no canvases. Penalties of geometry are means over the whole image, so a
-    recipe with some has none either: each size is a program.
+    whose photos need no more has no canvases.
     """
-    if recipe.objective.geometry.outputs:
-        return None
     kinds = {jax.tree.structure(replace(view.camera, width=1, height=1)) for view in views}
     most = max(1, MOST_PROGRAMS // (len(kinds) * len(resolution.divisors)))
     return canvases_for([view.camera for view in views], most)

@@ -28,6 +28,7 @@ from splatax.errors import FormatError
 from splatax.gaussians import Gaussians
 from splatax.io import formats
 from splatax.io.scenes import load_scene, load_variants
+from splatax.rendering import Color
 from splatax.scene import ColorMap, Option, Part, Scene, Variants, chosen
 from splatax.trajectories import keyframes
 from splatax.transforms import Similarity
@@ -54,7 +55,7 @@ class Composition:
     scene: Scene
     presentation: Presentation
     title: str
-    background: tuple[float, float, float]
+    background: Color
 
     @property
     def at_first(self) -> Scene:

@@ -9,7 +9,7 @@ import tyro
 from splatax import web
 from splatax.cli.options import OverwriteFlag
 from splatax.cli.output import say
-from splatax.cli.page import is_page
+from splatax.cli.page import is_page, tell_losses
 from splatax.errors import InputError
 from splatax.io.scenes import save_scene
 
@@ -57,3 +57,4 @@ class Compose:
             f"{options} options of {len(found.presentation.variants)} variants, "
             f"{self.out.stat().st_size / 1e6:.1f} MB"
         )
+        tell_losses(self.out)

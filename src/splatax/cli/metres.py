@@ -11,6 +11,7 @@ import tyro
 import splatax as sx
 from splatax.cli.options import Model, load_scene, read_model, scene_of, shown_as
 from splatax.cli.output import say
+from splatax.cli.page import tell_losses
 from splatax.errors import InputError
 from splatax.io import formats
 from splatax.io.formats.marks import METRES, metres_mark
@@ -62,6 +63,7 @@ class Metres:
         out.parent.mkdir(parents=True, exist_ok=True)
         sx.save(out, model.gaussians, comments=(*kept, metres_mark(scale)))
         say(f"{out}: {distance:.6g} units are {self.length:.6g} m, so one unit is {scale:.6g} m")
+        tell_losses(out)
 
 
 def places(model: Model, capture: Path | None, texts: tuple[str, str]) -> list[np.ndarray]:

@@ -34,6 +34,7 @@ from splatax.training.rigged import optimize_rig, recipe_for
 from splatax.training.rigged_step import Learned
 
 DATA = Path(os.environ.get("SPLATAX_DATA", Path(__file__).parents[2] / "shared" / "data")) / "rigs"
+FREE, STIFF = (0.0, 0.0, 0.0), (0.0, 0.05, 0.05)  # fingers bend about x, and hardly twist or bend sideways
 SIZE = 128
 PICTURE = Path(__file__).parent / "images" / "rigs.jpg"
 
@@ -195,16 +196,19 @@ def measure_recovery(steps: int, count: int, size: int = SIZE, views: int = 6) -
         a, b = (Rotation.from_quat(np.asarray(p.quats)[rows][:, [1, 2, 3, 0]]) for p in (pose, truth))
         return np.degrees((a.inv() * b).magnitude())
 
-    found = []
+    starts = {}
     for name in unseen:
         axes = rng.normal(size=(len(moved), 3))
         axes *= np.radians(10) / np.linalg.norm(axes, axis=1, keepdims=True)
-        start = body.skeleton.turned(dict(zip(moved, axes, strict=True)), poses[name])
-        photos = [view for view in dataset.test if pose_of[view.name] == name]
-        search = Search(steps=600, background=(1.0, 1.0, 1.0), joints=tuple(moved))
-        found.append(errors(fit_pose(scene, photos, start, search), poses[name]))
-        report(name, found[-1])
-    report("all", np.concatenate(found))
+        starts[name] = body.skeleton.turned(dict(zip(moved, axes, strict=True)), poses[name])
+    for title, stiffness in (("free", FREE), ("stiff", STIFF)):
+        found = []
+        search = Search(600, background=(1.0, 1.0, 1.0), joints=tuple(moved), stiffness=stiffness)
+        for name, start in starts.items():
+            photos = [view for view in dataset.test if pose_of[view.name] == name]
+            found.append(errors(fit_pose(scene, photos, start, search), poses[name]))
+            report(f"{title} joints, {name}", found[-1])
+        report(f"{title} joints, all", np.concatenate(found))
 
 
 def report(name: str, degrees: np.ndarray) -> None:

@@ -14,7 +14,7 @@ from splatax.dataset import View, mask_of
 from splatax.errors import DatasetError, InputError
 from splatax.losses import Photometric
 from splatax.math import quaternions
-from splatax.rendering import render
+from splatax.rendering import Color, render
 from splatax.scene.rigged import RiggedScene
 from splatax.scene.skeleton import Pose, spun
 from splatax.scene.skin import skin
@@ -38,7 +38,7 @@ class Search:
 
     steps: int = 200
     rate: float = 0.02
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    background: Color = (0.0, 0.0, 0.0)
     joints: tuple[str, ...] | None = None
     stiffness: tuple[float, float, float] = (0.0, 0.0, 0.0)
 

@@ -29,6 +29,7 @@ from splatax.gaussians import Gaussians
 from splatax.io import formats
 from splatax.io.rigs import load_animated
 from splatax.io.scenes import load_scene, load_variants
+from splatax.rendering import Color
 from splatax.scene import ColorMap, Option, Part, Scene, Variants, chosen
 from splatax.trajectories import keyframes
 from splatax.transforms import Similarity
@@ -57,7 +58,7 @@ class Composition:
     scene: Scene
     presentation: Presentation
     title: str
-    background: tuple[float, float, float]
+    background: Color
     motions: Mapping[str, Motion] = field(default_factory=dict)
 
     @property

@@ -21,6 +21,7 @@ from splatax.io import formats
 from splatax.io.files import write_whole
 from splatax.low_pass import AlongRays, Antialiasing, Dilation, LowPass
 from splatax.math import morton
+from splatax.rendering import Color
 from splatax.scene import Drawable, seen
 from splatax.transforms import Similarity
 from splatax.web.detail import LOD_ABOVE, previews_of
@@ -61,7 +62,7 @@ def document(
     *,
     title: str,
     cameras: Mapping[str, Camera] | None = None,
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    background: Color = (0.0, 0.0, 0.0),
     presentation: Presentation = NOTHING,
     motion: Motion | Mapping[str, Motion] | None = None,
     lod_above: int = LOD_ABOVE,
@@ -98,7 +99,7 @@ def document(
     names = {file: f"preview-{file}" for file in previews}
     first = {names.get(file, file): previews.get(file, gaussians) for file, gaussians in whole.items()}
     page = {
-        "background": list(background),
+        "background": [float(value) for value in background],
         "lowPass": _variances(low_pass),
         "near": NEAR * staged.place.scale,
         "cameras": staged.poses,

@@ -11,6 +11,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Int
 
 from splatax.errors import FormatError
 from splatax.gaussians import broken
@@ -18,7 +19,7 @@ from splatax.io.formats import glb, glb_scene
 from splatax.io.formats.glb_scene import Placed
 from splatax.io.formats.untrusted import structured
 from splatax.io.rigs.following import check_following
-from splatax.io.rigs.nodes import Binding, read_skeleton
+from splatax.io.rigs.nodes import read_skeleton
 from splatax.io.rigs.writing import FOLLOWS, POINTS, Mesh, joints_attributes, write_skinned
 from splatax.io.scenes import NO_VARIANTS, half_turned, load_scene, names_of, sound_rows, written
 from splatax.scene import Part, Scene, Variants
@@ -70,8 +71,8 @@ def save_animated(
     for node in nodes:
         if (rig := rigs.get(node["name"])) is not None:
             keep = sound_rows(parts[node["name"]].gaussians)
-            rows = (np.asarray(values)[keep] for values in (rig.indices, rig.weights))
-            arrays[node["mesh"]] |= joints_attributes(*rows, len(skeleton))
+            indices, weights = (np.asarray(values)[keep] for values in (rig.indices, rig.weights))
+            arrays[node["mesh"]] |= joints_attributes(indices, weights, len(skeleton))
             for key in OWN:
                 del node[key]
             node |= FOLLOWS
@@ -125,7 +126,8 @@ def load_animated(path: str | Path) -> AnimatedScene:
         rigs, parts = {}, dict(scene.parts)
         for name, at in zip(names_of(placed), placed, strict=True):
             if at.skin is not None:
-                rigs[name] = _rig(path, gltf, buffer, at, skeleton, binding)
+                known = binding.joints[at.skin]
+                rigs[name] = _rig(path, gltf, buffer, at, skeleton, known)
                 if len(rigs[name].weights) != len(parts[name].gaussians):
                     raise FormatError(
                         f"{path}: damaged: not every splat has joints and weights. Get the file again."
@@ -135,9 +137,15 @@ def load_animated(path: str | Path) -> AnimatedScene:
 
 
 def _rig(
-    path: Path, gltf: dict[str, Any], buffer: bytes, at: Placed, skeleton: Skeleton, binding: Binding
+    path: Path,
+    gltf: dict[str, Any],
+    buffer: bytes,
+    at: Placed,
+    skeleton: Skeleton,
+    known: Int[np.ndarray, " _"],
 ) -> Rig:
-    attributes, known = at.primitive["attributes"], binding.joints[at.skin]
+    """Returns the rig of splats; `known` are the joints of their skin among those of the skeleton."""
+    attributes = at.primitive["attributes"]
     joints, weights = (
         glb_scene.accessor(path, gltf, buffer, attributes[name]) for name in ("JOINTS_0", "WEIGHTS_0")
     )

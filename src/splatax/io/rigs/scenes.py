@@ -204,13 +204,23 @@ def load_rigged(path: str | Path) -> RiggedScene:
     path = Path(path)
     if not path.is_file():
         raise FormatError(f"{path}: no such file. Give a .glb file that splatax rig or splatax bind wrote.")
-    animated = load_animated(path)
-    if len(animated.rigs) != 1:
+    if (count := _skinned_splats(path)) != 1:
         raise FormatError(
-            f"{path}: {len(animated.rigs)} meshes of splats with a skin, where one is needed. Bind a scan "
-            "to a body: splatax bind."
+            f"{path}: {count} meshes of splats with a skin, where one is needed. Bind a scan to a body: "
+            "splatax bind."
         )
+    animated = load_animated(path)
     ((name, rig),) = animated.rigs.items()
     part = animated.scene[name]
     gaussians = part.gaussians if part.color is None else part.color.transform(part.gaussians)
     return RiggedScene(gaussians, rig, animated.clips)
+
+
+def _skinned_splats(path: Path) -> int:
+    """Returns the number of meshes of splats in the scene of a file that have a skin."""
+    with structured(path, ".glb"):
+        gltf, _ = glb_scene.chunks(path)
+        primitives = [primitive for mesh in gltf.get("meshes", ()) for primitive in mesh["primitives"]]
+        if not any(glb_scene.EXTENSION in primitive.get("extensions", {}) for primitive in primitives):
+            return 0
+        return sum(at.skin is not None for at in glb_scene.splats(path, gltf))

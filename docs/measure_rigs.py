@@ -1,6 +1,7 @@
 """Measures rigs on two models with known poses: `python docs/measure_rigs.py hand|robot|recover STEPS COUNT`.
 
-`recover` takes two more numbers: the width of the photos, and how many show each training pose.
+`recover` takes two more numbers: the width of the photos, and how many show each training pose. The word
+"antialiasing" at the end trains with `Antialiasing(0.1)`.
 
 The models are in SPLATAX_DATA/rigs: `hand-right.glb` of @webxr-input-profiles/assets (MIT), and
 `RobotExpressive.glb` by Tomas Laulhe (CC0). Their surfaces get a procedural texture and are photographed
@@ -111,6 +112,8 @@ def report_psnr(name: str, body, last, poses, views, pose_of) -> None:
 def trained(body, dataset, poses, pose_of, steps: int, count: int, learned=Learned(), seconds=None):
     """Trains, and returns the last progress, with the time that the steps took."""
     recipe = recipe_for(steps, count)
+    if "antialiasing" in sys.argv:  # blurs by about the area of a pixel, and makes sharper edges
+        recipe = replace(recipe, drawing=replace(recipe.drawing, low_pass=sx.Antialiasing(0.1)))
     began, cpu = None, 0.0
     for progress in optimize_rig(dataset, recipe, covering(body, count // 2), poses, pose_of, learned):
         if began is None:
@@ -219,4 +222,4 @@ def report(name: str, degrees: np.ndarray) -> None:
 MEASURES = {"hand": measure_hand, "robot": measure_robot, "recover": measure_recovery}
 
 if __name__ == "__main__":
-    MEASURES[sys.argv[1]](*map(int, sys.argv[2:6]))
+    MEASURES[sys.argv[1]](*(int(word) for word in sys.argv[2:] if word.isdigit()))

@@ -42,6 +42,8 @@ WEIGHTS = {
     "0.05, 0.4": Surfaces(0.05, points=0.4, points_limit=0.02),
     "0.1, 0.4": Surfaces(points=0.4, points_limit=0.02),
     "0.1, 0.8": Surfaces(points=0.8, points_limit=0.02),
+    "half": Surfaces(0.05, points=0.3),
+    "quarter": Surfaces(0.025, points=0.15),
 }
 
 

@@ -33,7 +33,7 @@ from splatax.metrics import psnr
 FLAGS = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox")
 READY = "Boolean(window.viewer) && !viewer.motion && viewer.settled"
 PATIENCE = 120  # seconds
-VARIANCES = (0.0, 0.1, 0.2, 0.3, 0.5)  # of dilations, pixels^2
+VARIANCES = (0.0, 0.03, 0.06, 0.1, 0.2, 0.3)  # of dilations, pixels^2
 
 
 def main(capture: Path, run: Path) -> None:

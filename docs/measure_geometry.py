@@ -45,6 +45,8 @@ WEIGHTS = {
     "0.1, 0.8": Surfaces(points=0.8, points_limit=0.02),
     "half": Surfaces(0.05, points=0.3),
     "quarter": Surfaces(0.025, points=0.15),
+    "spread only": Surfaces(points=0.0),
+    "points only": Surfaces(spread=0.0),
 }
 
 

@@ -131,8 +131,7 @@ def _hazy(comparison: Comparison) -> bool:
 
 def _concentrated(comparison: Comparison) -> bool:
     difference = comparison.image.astype(np.float32) - comparison.photo
-    errors = np.sort(
-        np.sum(difference**2, axis=2)[... if comparison.mask is None else comparison.mask].ravel()
-    )
-    worst = errors[-max(round(PART * len(errors)), 1) :]
+    errors = np.sum(difference**2, axis=2)[... if comparison.mask is None else comparison.mask].ravel()
+    first = len(errors) - max(round(PART * len(errors)), 1)
+    worst = np.partition(errors, first)[first:]
     return bool(worst.sum() > CONCENTRATED * errors.sum())

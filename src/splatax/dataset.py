@@ -42,14 +42,18 @@ class Edited:
     Attributes:
         decode: function that decodes the photo.
         change: function from the decoded pixels to new ones of the same size.
+        identity: key of the change; equal changes have equal keys.
+        kept: function that reads the changed photo from where it is kept; None if it is made at each call.
     """
 
     decode: Callable[[], Pixels]
     change: Callable[[Pixels], Pixels]
+    identity: str
+    kept: Callable[[], Pixels] | None = None
 
     def __call__(self) -> Pixels:
         """Returns the changed photo."""
-        return self.change(self.decode())
+        return self.kept() if self.kept else self.change(self.decode())
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,11 @@ class View:
     def photo(self) -> str:
         """Name of the photo, which all faces of a 360-degree photo share."""
         return self.face_of or self.name
+
+    def as_taken(self) -> "View":
+        """Returns the view with its photo as it was before any change of its pixels."""
+        pixels = self.pixels
+        return replace(self, pixels=pixels.decode) if isinstance(pixels, Edited) else self
 
 
 def by_photo(views: Iterable[View], values: Mapping[str, Value]) -> dict[str, list[Value]]:

@@ -7,13 +7,17 @@ import numpy as np
 import pytest
 
 import splatax as sx
+from captures import pinhole, write_capture
+from splatax.blocks import parts
 from splatax.blocks.boxes import Box
 from splatax.blocks.parts import among, part_of
 from splatax.blocks.plan import BlockPlan, Plan, digest_of, write_plan
 from splatax.blocks.visibility import SIDE, own_pixels
 from splatax.dataset import Dataset, PointCloud, View
 from splatax.gaussians import joined
-from splatax.training.checkpoint import fingerprint
+from splatax.io.photo_store import PhotoStore, kept_on_disk
+from splatax.runs.results import examples
+from splatax.training.fingerprints import fingerprint
 
 
 def ball(x, z=0.0, opacity=0.99):
@@ -61,6 +65,11 @@ def test_the_nearer_of_two_surfaces_decides():
 
 def test_faint_surroundings_leave_all_pixels_to_the_block():
     assert own(ball(-1.0), ball(1.0, opacity=0.4)).all()
+
+
+def small_capture(folder):
+    """Two photos on disk of the size of `camera()`."""
+    return sx.load_dataset(write_capture(folder / "capture", 2, pinhole(size=(32, 24)), size=(32, 24)))
 
 
 @pytest.fixture
@@ -118,6 +127,33 @@ def test_photos_of_many_sizes_are_drawn_on_canvases_with_the_same_result():
     for view, shared in zip(views, together, strict=True):
         (alone,) = among([view], scene, outside, "auto")
         np.testing.assert_allclose(shared.pixels().astype(int), alone.pixels().astype(int), atol=1)
+
+
+def test_the_coarse_scene_is_drawn_once_in_each_photo_that_is_kept_on_disk(tmp_path, monkeypatch):
+    views = [replace(view, camera=camera()) for view in small_capture(tmp_path).views]
+    scene, outside = joined([ball(-1.0), ball(1.0)]), np.array([True, False])
+    store = PhotoStore(tmp_path / "store", 10**9)
+
+    def kept(coarse):
+        return kept_on_disk(among(views, coarse, outside, "auto"), store)[0]
+
+    first = [view.pixels() for view in kept(scene)]
+    other = kept(joined([ball(-1.0), ball(0.8)]))
+    same = kept(scene)
+    monkeypatch.setattr(parts, "render", None)
+    for view, expected in zip(same, first, strict=True):
+        np.testing.assert_array_equal(view.pixels(), expected)
+    with pytest.raises(TypeError):  # another coarse scene is drawn anew
+        other[0].pixels()
+
+
+def test_the_report_of_a_block_shows_photos_as_they_were_taken(tmp_path):
+    views = [replace(view, camera=camera()) for view in small_capture(tmp_path).views]
+    changed = among(views, joined([ball(-1.0), ball(1.0)]), np.array([True, False]), "auto")
+    kept, _ = kept_on_disk(changed, PhotoStore(tmp_path / "store", 10**9))
+    for some in (changed, kept):
+        for view, taken in zip(examples(some), views, strict=True):
+            np.testing.assert_array_equal(view.pixels(), taken.pixels())
 
 
 def test_a_block_is_a_part_of_a_scene_of_the_size_of_the_whole(planned):

@@ -83,6 +83,16 @@ def test_options_decide_over_the_recipe_and_nothing_else_does(capture):
     assert classic == PRESETS["classic"].build().on(plain.drawing.backend)
 
 
+def test_the_preset_says_whether_photos_are_weighed_by_default(capture, monkeypatch):
+    monkeypatch.setattr("splatax.cli.settings.FEWEST_TO_WEIGH", 1)
+    dataset = sx.load_dataset(capture)
+    assert Settings(capture).weighing(dataset) == "robust"
+    assert Settings(capture, photo_weights="equal").weighing(dataset) == "equal"
+    assert Settings(capture, recipe="mcmc").weighing(dataset) == "equal"
+    monkeypatch.setitem(PRESETS, "mcmc", replace(PRESETS["mcmc"], weighs_photos=True))
+    assert Settings(capture, recipe="mcmc").weighing(dataset) == "robust"
+
+
 def test_eval_of_the_run_repeats_its_scores(trained, capture, tmp_path, capsys):
     cli.main(["eval", str(trained), str(capture), "--out", str(tmp_path / "scores.json")])
     scores, metrics = read_json(tmp_path / "scores.json"), read_json(trained / "metrics.json")

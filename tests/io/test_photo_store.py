@@ -51,16 +51,25 @@ def test_photos_and_masks_from_disk_are_those_of_the_capture(tmp_path, store, un
     assert isinstance(again[0].pixels(), np.memmap)
 
 
-def test_a_photo_is_kept_as_it_is_decoded_and_changed_when_it_is_read(tmp_path, store):
+def test_a_photo_is_kept_as_it_is_changed_and_is_changed_once(tmp_path, store):
     view = sx.load_dataset(write_capture(tmp_path / "capture", 1)).views[0]
-    before = view.pixels()
-    inverted = replace(view, pixels=Edited(view.pixels, lambda pixels: 255 - pixels))
-    kept, use = kept_on_disk((inverted,), store)
+    before, calls = view.pixels(), []
+
+    def inverted(pixels):
+        calls.append(1)
+        return 255 - pixels
+
+    edited = replace(view, pixels=Edited(view.pixels, inverted, "inverted"))
+    kept, use = kept_on_disk((edited,), store)
     assert use.kept == 1
-    for _ in range(2):  # written, then read
+    for _ in range(3):  # written, then read
         np.testing.assert_array_equal(kept[0].pixels(), 255 - before)
-    (file,) = store.folder.iterdir()
-    np.testing.assert_array_equal(np.load(file), before)
+    assert len(calls) == 1
+    np.testing.assert_array_equal(kept[0].as_taken().pixels(), before)
+    other = replace(view, pixels=Edited(view.pixels, lambda pixels: pixels // 2, "halved"))
+    for each, expected in ((other, before // 2), (view, before)):  # not what another change left
+        (again,), _ = kept_on_disk((each,), store)
+        np.testing.assert_array_equal(again.pixels(), expected)
 
 
 def test_a_photo_that_changed_or_has_another_size_or_lens_is_another(tmp_path):

@@ -1,15 +1,18 @@
 """The parts of a coarse scene and of a capture that belong to one block."""
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, UInt8
 
+from splatax import backends
 from splatax.backends.protocol import Kernels
 from splatax.blocks.boxes import places_of
 from splatax.blocks.plan import PLAN, check_number, read_coarse, read_context, read_plan
@@ -24,7 +27,7 @@ from splatax.metrics import to_8bit
 from splatax.rendering import render
 from splatax.resampling import resize_mask
 from splatax.runs.resume import differences
-from splatax.training.checkpoint import fingerprint
+from splatax.training.fingerprints import fingerprint
 from splatax.training.photo_cache import with_alpha
 
 DRAWING = Lock()  # one photo at a time, which leaves the device's memory to it
@@ -91,11 +94,22 @@ def among(
         backend: backend that draws the scene.
     """
     canvases, found = canvases_for([view.camera for view in views], MOST_SIZES), []
+    scene = digest(coarse, backends.resolve(backend).name)
     for view, canvas in zip(views, canvases, strict=True):
         bits = np.packbits(own_pixels(coarse, outside, view.camera, backend))
         change = Surrounded(bits, coarse, view.camera, canvas, backend)
-        found.append(replace(view, pixels=Edited(view.pixels, change)))
+        identity = digest((bits, view.camera), f"{scene} {canvas}")
+        found.append(replace(view, pixels=Edited(view.pixels, change, identity)))
     return tuple(found)
+
+
+def digest(arrays: Any, words: str) -> str:
+    """Returns a digest of a pytree of arrays, of its structure, and of words."""
+    leaves, structure = jax.tree.flatten(arrays)
+    found = hashlib.sha256(f"{structure} {words}".encode())
+    for leaf in leaves:
+        found.update(np.asarray(leaf).tobytes())
+    return found.hexdigest()[:32]
 
 
 @dataclass(frozen=True)

@@ -190,6 +190,7 @@ class TrainBlock:
     """Train the block again from its first step, even if its run is finished or was interrupted."""
 
     def run(self) -> None:
+        require_plan(self.city)
         plan = read_plan(self.city)
         check_number(plan, self.city, self.block)
         out = folder_of(self.city, self.block)
@@ -235,6 +236,7 @@ class MergeBlocks:
             raise InputError(
                 f"{self.out}: exists. Choose another name, or replace it.", options=("overwrite",)
             )
+        require_plan(self.city)
         scene, kept = merged(self.city)
         self.out.parent.mkdir(parents=True, exist_ok=True)
         for part in kept:
@@ -267,6 +269,15 @@ class Blocks:
             self.action.run()
         except InputError as error:
             raise InputError(advice(error, self.action)) from error
+
+
+def require_plan(city: Path) -> None:
+    """Raises InputError, with the command that makes a plan, if a folder has none."""
+    if not (city / PLAN).is_file():
+        raise InputError(
+            f"{city}: no {PLAN} in it. Plan the blocks first: splatax blocks plan CAPTURE --out {city} "
+            "--blocks N."
+        )
 
 
 def table_of(plan: Plan, photos: int) -> Table:

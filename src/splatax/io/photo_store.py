@@ -186,26 +186,31 @@ def kept_on_disk(views: tuple[View, ...], store: PhotoStore) -> tuple[tuple[View
 
 def keys_of(view: View) -> dict[str, int]:
     """Returns the keys of a view's photo and mask with their bytes; empty if they do not come from files."""
-    pixels, mask = decoder_of(view), view.mask
-    if not isinstance(pixels, PhotoDecoder) or not isinstance(mask, MaskDecoder | None):
+    decoder, mask = decoder_of(view), view.mask
+    if not isinstance(decoder, PhotoDecoder) or not isinstance(mask, MaskDecoder | None):
         return {}
     area = view.camera.width * view.camera.height
-    channels = 3 if pixels.stored.path.suffix.lower() in (".jpg", ".jpeg") else 4  # at most
+    change = view.pixels.identity if isinstance(view.pixels, Edited) else ""
+    opaque = decoder.stored.path.suffix.lower() in (".jpg", ".jpeg") and not change
     try:
-        return {pixels.identity: channels * area} | ({mask.identity: area} if mask else {})
+        key = f"{decoder.identity}-{change}" if change else decoder.identity
+        return {key: (3 if opaque else 4) * area} | ({mask.identity: area} if mask else {})  # at most
     except OSError:
         return {}  # reported when training reads the photo
 
 
 def decoder_of(view: View) -> Callable[[], Any]:
     """Returns the decoder of a view's photo, without later changes of its pixels."""
-    return view.pixels.decode if isinstance(view.pixels, Edited) else view.pixels
+    return view.as_taken().pixels
 
 
 def view_from(store: PhotoStore, view: View, keys: list[str]) -> View:
-    """Returns a view that reads its photo, and its mask if it has one, from a store."""
-    decoded = Kept(store, keys[0], decoder_of(view))
-    pixels = replace(view.pixels, decode=decoded) if isinstance(view.pixels, Edited) else decoded
+    """Returns a view that reads its photo, and its mask if it has one, from a store.
+
+    A photo whose pixels are changed is stored as changed.
+    """
+    photo = Kept(store, keys[0], view.pixels)
+    pixels = replace(view.pixels, kept=photo) if isinstance(view.pixels, Edited) else photo
     return replace(view, pixels=pixels, mask=Kept(store, keys[1], view.mask) if view.mask else None)
 
 

@@ -11,6 +11,7 @@ import splatax as sx
 from scenes import camera_at, random_gaussians
 from splatax import cli, web
 from splatax.demo.rigged import drawn_arm
+from splatax.io import formats
 from splatax.io.rigs import load_animated, save_rigged
 from splatax.scene import RiggedScene, chosen
 from splatax.scene.binding import covering
@@ -101,7 +102,9 @@ def test_the_first_options_are_chosen_at_first_and_others_on_request(car):
 
 def test_a_glb_file_keeps_the_parts_of_the_first_options(car, tmp_path, capsys):
     cli.main(["compose", str(car), "--out", str(tmp_path / "car.glb")])
-    assert "3 parts, 120 Gaussians, 4 options of 2 variants" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "3 parts, 120 Gaussians, 4 options of 2 variants" in told
+    assert f"loses: {formats.FORMATS['.glb'].LOSES}" in told
     back, found = sx.load_scene(tmp_path / "car.glb"), web.compose(car).at_first
     camera = camera_at()
     assert_allclose(sx.render(back, camera).rgb, sx.render(found, camera).rgb, atol=1e-3)

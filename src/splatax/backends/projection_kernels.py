@@ -1,8 +1,7 @@
 """Foreign projections: their inputs, and their derivatives in both modes.
 
 A kernel serves one kind of lens, for cameras that do not move, by EWA; the portable projection serves all
-others. Gradients, and tangents where the kernel has them, are the kernel's own. Second derivatives come from
-the portable projection, which JAX differentiates.
+others, and second derivatives. Gradients, and tangents where the kernel has them, are the kernel's own.
 """
 
 from collections.abc import Mapping, Sequence

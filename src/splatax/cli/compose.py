@@ -9,7 +9,7 @@ import tyro
 from splatax import web
 from splatax.cli.options import OverwriteFlag
 from splatax.cli.output import say
-from splatax.cli.page import is_page
+from splatax.cli.page import is_page, tell_losses
 from splatax.errors import InputError
 from splatax.io.rigs import save_animated
 from splatax.io.scenes import save_scene
@@ -60,6 +60,7 @@ class Compose:
             f"{len(found.motions)} parts that move, "
             f"{self.out.stat().st_size / 1e6:.1f} MB"
         )
+        tell_losses(self.out)
 
     def _save(self, found: web.Composition) -> None:
         """Writes the .glb file."""

@@ -11,6 +11,7 @@ import tyro
 import splatax as sx
 from splatax.cli.options import Model, load_scene, read_model, scene_of, shown_as
 from splatax.cli.output import say
+from splatax.cli.page import tell_losses
 from splatax.errors import InputError, shown
 from splatax.io import formats
 from splatax.io.datasets.photos import counted
@@ -74,6 +75,7 @@ class Metres:
         out.parent.mkdir(parents=True, exist_ok=True)
         sx.save(out, model.gaussians, comments=(*kept, metres_mark(scale)))
         say(f"{out}: {found}, so one unit is {scale:.6g} m")
+        tell_losses(out)
 
     def _by_length(self, model: Model) -> tuple[float, str]:
         """Returns the metres of a unit by a known distance, and how they were found."""

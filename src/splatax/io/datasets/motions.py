@@ -52,11 +52,10 @@ def read(capture: Path) -> dict[str, RollingShutter]:
 
 
 def _motion(path: Path, name: str, entry: Any) -> RollingShutter:
-    numbers, direction = entry, "down"
-    if isinstance(entry, dict):
-        numbers, direction = entry.get("twist"), entry.get("direction")
+    described = entry if isinstance(entry, dict) else {"direction": "down", "twist": entry}
+    direction: Any = described.get("direction")
     try:
-        twist = np.array(numbers, np.float32)
+        twist = np.array(described.get("twist"), np.float32)
     except (TypeError, ValueError, OverflowError):
         twist = np.zeros(0, np.float32)
     if twist.shape != (6,) or not np.isfinite(twist).all() or direction not in get_args(Direction):

@@ -1,10 +1,11 @@
 """Compares weights of `--geometry` by photos and points that were held out from training.
 
-python docs/measure_geometry.py CAPTURES [WEIGHTS [STEPS [DOWNSCALE]]]
+python docs/measure_geometry.py CAPTURES [WEIGHTS [STEPS [DOWNSCALE [SEED]]]]
     CAPTURES    folders with commas; "demo" is the synthetic still life at its own size
     WEIGHTS     names of `WEIGHTS` with semicolons; "all", the default, stands for all of them
     STEPS       of each run, 500 by default
     DOWNSCALE   of the photos in folders, 4 by default
+    SEED        of the runs, 0 by default
 
 Every sixth training photo, from the third, and a fifth of the points are held out: runs start from the other
 points, and have only these as landmarks. The capture's own held-out photos are not used. PSNR is that of the
@@ -31,7 +32,7 @@ from splatax.geometry_scores import OF_PLANES, against_landmarks, evaluate_geome
 from splatax.training.geometry import NoGeometry, Surfaces
 from splatax.training.recipes import default, room_for
 
-DEFAULTS = "all", 500, 4  # weights, steps and downscale
+DEFAULTS = "all", 500, 4, 0  # weights, steps, downscale and seed
 PHOTOS, POINTS = 6, 5  # one of so many is held out
 WEIGHTS = {
     "default": NoGeometry(),
@@ -42,15 +43,19 @@ WEIGHTS = {
     "0.05, 0.4": Surfaces(0.05, points=0.4, points_limit=0.02),
     "0.1, 0.4": Surfaces(points=0.4, points_limit=0.02),
     "0.1, 0.8": Surfaces(points=0.8, points_limit=0.02),
+    "half": Surfaces(0.05, points=0.3),
+    "quarter": Surfaces(0.025, points=0.15),
+    "spread only": Surfaces(points=0.0),
+    "points only": Surfaces(spread=0.0),
 }
 
 
-def main(captures: Sequence[str], names: Sequence[str], steps: int, downscale: int) -> None:
+def main(captures: Sequence[str], names: Sequence[str], steps: int, downscale: int, seed: int) -> None:
     for capture in captures:
         dataset = parted(
             sx.demo_dataset() if capture == "demo" else sx.load_dataset(capture, downscale=downscale)
         )
-        plain = default(steps, room_for(dataset))
+        plain = replace(default(steps, room_for(dataset)), seed=seed)
         for name in names:
             recipe = replace(plain, objective=replace(plain.objective, geometry=WEIGHTS[name]))
             began = time.process_time()
@@ -108,8 +113,8 @@ def scores(scene: sx.Gaussians, dataset: Dataset) -> str:
 
 
 if __name__ == "__main__":
-    asked, total, smaller = (*sys.argv[2:], *DEFAULTS[len(sys.argv[2:]) :])
+    asked, total, smaller, chance = (*sys.argv[2:], *DEFAULTS[len(sys.argv[2:]) :])
     named = list(WEIGHTS) if asked == "all" else str(asked).split(";")
     if unknown := {*named} - {*WEIGHTS}:
         sys.exit(f"no such weights: {', '.join(sorted(unknown))}. There are: {'; '.join(WEIGHTS)}.")
-    main(sys.argv[1].split(","), named, int(total), int(smaller))
+    main(sys.argv[1].split(","), named, int(total), int(smaller), int(chance))

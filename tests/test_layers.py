@@ -32,6 +32,7 @@ NEVER = {
 # Modules that look a backend up, beside the commands: entry points, and what starts a run.
 LOOK_UP = {
     "bench/operations",
+    "blocks/parts",
     "blocks/visibility",
     "inspection/pace",
     "rendering",

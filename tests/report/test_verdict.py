@@ -37,9 +37,9 @@ def judged(dataset, psnrs, gain=0.2, images=None):
 def test_a_good_scene_is_called_good_and_nothing_is_bad(dataset):
     verdict = judged(dataset, [33.0, 34.0, 35.0])
     assert verdict.headline == (
-        "From the viewpoints of held-out photos, the scene is nearly the same as the photo."
+        "From the viewpoints of photos that it was not trained on, the scene is nearly the same as the photo."
     )
-    assert verdict.good[0] == "3 of 3 photos held out from training are matched well; best: view16.png."
+    assert verdict.good[0] == "3 of 3 photos that it was not trained on are matched well; best: view16.png."
     assert not verdict.bad
 
 

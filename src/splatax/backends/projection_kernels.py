@@ -1,8 +1,7 @@
 """Foreign projections: their inputs, and their derivatives in both modes.
 
 A kernel serves one kind of lens, for cameras that do not move, by EWA; the portable projection serves all
-others. Gradients, and tangents where the kernel has them, are the kernel's own. Second derivatives come from
-the portable projection, which JAX differentiates.
+others, and second derivatives. Gradients, and tangents where the kernel has them, are the kernel's own.
 """
 
 from collections.abc import Mapping, Sequence
@@ -123,7 +122,8 @@ def project(
     arrays = tuple(getattr(gaussians, field) for field in FIELDS)
     settings = Settings(kernel, Layout.of(camera), low_pass)
     found = _project(arrays, packed(camera), camera.frame, settings)
-    return Splats(*found, camera.width, camera.height)
+    means2d, sqrt_conics, depths, extents, colors, opacities = found
+    return Splats(means2d, sqrt_conics, depths, extents, colors, opacities, camera.width, camera.height)
 
 
 def kernel_for(camera: Camera, kernels: ProjectionKernels) -> Kernel | None:

@@ -16,6 +16,7 @@ from splatax.cli.continuation import as_before, carry_on
 from splatax.cli.failures import advice
 from splatax.cli.options import Downscale, OverwriteFlag, flag, given, read_model, shown_as
 from splatax.cli.output import say, show
+from splatax.cli.page import tell_losses
 from splatax.cli.preparing import loaded, prepared
 from splatax.cli.settings import NAMES, Settings
 from splatax.cli.stages import Stages
@@ -242,6 +243,7 @@ class MergeBlocks:
             say(f"block {part.block}: {part.gaussians:,} of {part.trained:,} Gaussians inside its box")
         written = sx.save(self.out, scene)
         say(f"{self.out}: {written:,} Gaussians of {len(kept)} blocks")
+        tell_losses(self.out)
 
 
 Action = Annotated[

@@ -26,7 +26,7 @@ from splatax.cli.options import (
     shown_as,
 )
 from splatax.cli.output import say
-from splatax.cli.page import is_page, write_page
+from splatax.cli.page import is_page, tell_losses, write_page
 from splatax.errors import InputError
 from splatax.io import formats
 from splatax.io.datasets.photos import counted
@@ -166,7 +166,6 @@ class Export:
             cameras = {view.name: view.camera for view in views}
             shown = replace(model, gaussians=edited)
             write_page(self.out, shown, cameras, self.format.title, self.format.background)
-            say(f"loses: {web.LOSES}")
             return
         coarser = editing.levels_of(edited, self.format.levels)[1:] if self._streamed else ()
         self._save(model, edited, coarser)
@@ -211,7 +210,7 @@ class Export:
         before, after = model.path.stat().st_size, formats.size_of(self.out)
         ratio = f"{before / after:.1f} x smaller" if after <= before else f"{after / before:.1f} x larger"
         say(f"{self.out}: {count:,} Gaussians, {after / 1e6:.2f} MB ({ratio})")
-        say(f"loses: {formats.format_of(self.out).LOSES}")
+        tell_losses(self.out)
         if comments and not set(comments) <= set(formats.comments(self.out)):
             say(f"note    {self.out.suffix} files do not keep the scale in metres")
 

@@ -71,13 +71,22 @@ def following(count: int, steps: Iterable[int]) -> set[Pair]:
 
 def alike(database: "pycolmap.Database", ids: list[int], neighbours: int) -> set[Pair]:
     """Returns pairs of photos of which one is among the most similar to the other."""
-    features = [largest(database, image) for image in ids]
-    every = np.arange(len(ids))
-    if len(ids) <= COMPARED:
+    return similar([largest(database, image) for image in ids], neighbours)
+
+
+def similar(features: list[Float[np.ndarray, "k 128"]], neighbours: int) -> set[Pair]:
+    """Returns pairs of photos of which one is among the most similar to the other.
+
+    Args:
+        features: unit descriptors of each photo, padded with zeros; see `largest`.
+        neighbours: number of photos that are paired with each.
+    """
+    every = np.arange(len(features))
+    if len(features) <= COMPARED:
         candidates = [every[i + 1 :] for i in every]
     else:
         candidates = suggested(features, neighbours + SPARE)
-    found: list[list[tuple[float, int]]] = [[] for _ in ids]  # (minus the number of matches, photo)
+    found: list[list[tuple[float, int]]] = [[] for _ in features]  # (minus the number of matches, photo)
     for i, others in enumerate(candidates):
         for start in range(0, len(others), BLOCK):
             block = others[start : start + BLOCK]

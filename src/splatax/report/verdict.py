@@ -100,7 +100,9 @@ def verdict_of(
     ]
     good = tuple(_good(psnrs, scores, unseen))
     remark = EXPOSURE if judged.corrected else ""
-    return Verdict(_headline(psnrs, unseen), good, tuple(complaints), tuple(spots), matched, remark)
+    return Verdict(
+        _headline(psnrs, unseen, judged.scene), good, tuple(complaints), tuple(spots), matched, remark
+    )
 
 
 def grade(psnr: float) -> str:
@@ -113,13 +115,13 @@ def _bar(psnrs: np.ndarray) -> float:
     return max(POOR, float(np.median(psnrs)) - BEHIND)
 
 
-def _headline(psnrs: np.ndarray, unseen: bool) -> str:
-    whose = "held-out photos" if unseen else "its training photos"
-    return f"From the viewpoints of {whose}, the scene is {grade(float(np.median(psnrs)))}."
+def _headline(psnrs: np.ndarray, unseen: bool, scene: str) -> str:
+    whose = "photos that it was not trained on" if unseen else "its training photos"
+    return f"From the viewpoints of {whose}, {scene} is {grade(float(np.median(psnrs)))}."
 
 
 def _good(psnrs: np.ndarray, scores: Sequence[ViewScore], unseen: bool) -> list[str]:
-    kind = "held out from training" if unseen else "that it was trained on"
+    kind = "that it was not trained on" if unseen else "that it was trained on"
     good, best = int((psnrs >= GOOD).sum()), max(scores, key=lambda score: score.psnr)
     if not good:
         return [f"The best picture of a photo {kind}, {best.name}, is {grade(best.psnr)}."]

@@ -17,7 +17,8 @@ from splatax.io.datasets.undistortion import Straightening
 from splatax.io.memory import decoding
 from splatax.resampling import resize, resize_mask
 
-AS_STORED, RESAMPLED = 11, 50  # bytes for a pixel of a photo while it is decoded, and while it is undistorted
+AS_STORED = 11  # bytes for a pixel of a photo while it is decoded
+RESAMPLED, INTERPOLATED = 50, 30  # while it is undistorted by cubic splines, and by bilinear interpolation
 
 
 @dataclass(frozen=True)
@@ -39,8 +40,13 @@ class Stored:
     @property
     def memory(self) -> int:
         """Bytes that decoding takes."""
-        per_pixel = RESAMPLED if self.straighten.resample else AS_STORED
-        return per_pixel * self.decoded[0] * self.decoded[1]
+        full, straighten = self.decoded[0] * self.decoded[1], self.straighten
+        if straighten.resample is None:
+            return AS_STORED * full
+        if straighten.shrunk is None or straighten.sampled is None:
+            return RESAMPLED * full
+        largest = max(width * height for width, height in (straighten.shrunk, straighten.sampled))
+        return AS_STORED * full + INTERPOLATED * largest
 
     def identity(self, *more: object) -> str:
         """Returns a key of the result: path, size and date of the file, and all that is done to it.
@@ -75,7 +81,9 @@ class PhotoDecoder:
         with decoding.taken(stored.memory):
             if stored.straighten.resample is None:
                 return images.read(stored.path, upright=self.upright, divisor=self.divisor, size=stored.size)
-            pixels = images.read(stored.path, upright=self.upright, divisor=self.divisor)
+            pixels = images.read(
+                stored.path, upright=self.upright, divisor=self.divisor, size=stored.straighten.shrunk
+            )
             with blamed_on(
                 stored.path, "the photo cannot be undistorted", "Calibrate its camera again.", DatasetError
             ):
@@ -101,6 +109,8 @@ class MaskDecoder:
             if stored.straighten.resample is None:
                 return resize_mask(mask, *stored.size)
             shades = np.repeat(np.where(mask, np.uint8(255), np.uint8(0))[..., None], 3, axis=2)
+            if stored.straighten.shrunk:
+                shades = resize(shades, *stored.straighten.shrunk)
             return resize_mask(stored.straighten(shades)[..., 0] > 127, *stored.size)
 
     @property

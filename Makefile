@@ -26,8 +26,9 @@ lint: $(READY)
 
 # Most of the time is spent in XLA's compiler, whose memory accesses are checked too. It therefore runs with few
 # optimizations (tests/conftest.py), and sanitizers keep short stack traces and a small quarantine. Of the builds, the
-# baseline and the best one that runs here are tested. Only one low-pass filter is, because native code gets it as a
-# number. Without a number of jobs, --parallel would compile all files at once.
+# baseline and the best one that runs here are tested, the baseline of x86 by the address sanitizer alone. Only one
+# low-pass filter is, because native code gets it as a number. Without a number of jobs, --parallel would compile all
+# files at once.
 SANITIZED := build/sanitize
 HEADERS := build/headers
 BEST = $(shell $(BIN)/python -c "from splatax.backends.cpu import library; print(library.best_instructions())")

@@ -1,10 +1,9 @@
-"""Draws the pictures of scenes.md and configurator.md, from a toy car that it makes itself.
+"""Makes the toy car of scenes.md and configurator.md, and draws the pictures of these pages.
 
-    python docs/make_scenes.py FOLDER
+    python docs/make_scenes.py FOLDER             # the splat files of the car, and car.toml
+    python docs/make_scenes.py FOLDER pictures    # also docs/images/{scenes,configurator}.jpg
 
-The script writes the splat files of the car and car.toml to FOLDER, and the pictures
-docs/images/{scenes,configurator}.jpg. The second is a screenshot, which needs playwright with Chromium
-(SPLATAX_CHROMIUM names another one).
+The second picture is a screenshot, which needs playwright with Chromium (SPLATAX_CHROMIUM names another one).
 """
 
 import os
@@ -72,11 +71,16 @@ fov = 34
 """
 
 
-def main(folder: Path) -> None:
+def write_car(folder: Path) -> None:
+    """Writes the files of the car."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, gaussians in parts().items():
         sx.save(folder / f"{name}.ply", gaussians)
     (folder / "car.toml").write_text(CAR)
+
+
+def draw(folder: Path) -> None:
+    """Draws the pictures of the car in a folder."""
     found = web.compose(folder / "car.toml")
     start = found.presentation.start
     assert start is not None
@@ -181,4 +185,6 @@ def screenshot(path: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    write_car(Path(sys.argv[1]))
+    if "pictures" in sys.argv[2:]:
+        draw(Path(sys.argv[1]))

@@ -1,5 +1,8 @@
 """Draws docs/images/sensors.jpg: what four sensors measure in a scene trained on the demo capture.
 
+It also prints the mean intersection over union of the labels that are lifted from the true labels of the
+training photos, as `splatax label` does on held-out photos.
+
 python docs/make_sensors.py
 """
 
@@ -13,6 +16,7 @@ from PIL import Image
 
 import splatax as sx
 from splatax import editing, sensors
+from splatax.cli.label import mean_iou
 from splatax.demo.raycast import truth
 from splatax.demo.scenes import scene_named
 from splatax.metrics import to_8bit
@@ -35,6 +39,12 @@ def main() -> None:
         return view.camera, np.where(found < 0, -1, THINGS[found]).astype(np.int32)
 
     rows = editing.labels_of(editing.votes(gaussians, map(labelled, dataset.train), len(COLORS)))
+    testing = [labelled(view) for view in dataset.test]
+    score = mean_iou(gaussians, rows, len(COLORS), testing, sx.Renderer())
+    print(
+        f"{len(gaussians):,} Gaussians, label images of {len(dataset.train)} photos, {len(COLORS)} labels: "
+        f"mIoU {score:.4f} on {len(testing)} held-out photos of {SIZE[0]} x {SIZE[1]} pixels"
+    )
     camera = dataset.test[0].camera.resized(LARGER * SIZE[0], LARGER * SIZE[1])
     asked = {
         "color": sensors.Color(sensors.ColorNoise(exposure=0.25, gain=4.0, full_well=500.0)),

@@ -16,7 +16,8 @@ import numpy as np
 
 import splatax as sx
 from splatax.dataset import Dataset
-from splatax.training.recipes import Recipe, default, rates_for
+from splatax.training.optimizer import rates_for
+from splatax.training.recipes import Recipe, default
 
 VIEWS, EVERY = 8, 5  # photos a step; every 5th training photo is scored
 

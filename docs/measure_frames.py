@@ -1,9 +1,10 @@
-"""Measures color, depth and labels a second: `python docs/measure_frames.py [SCENE.ply]`.
+"""Measures color, depth and labels a second: `python docs/measure_frames.py [SCENE.ply [CAPTURE]]`.
 
-The scene is the synthetic arm with 11,000 Gaussians in 6 parts, whose joints differ in each frame, or a splat
-file that is cut into 6 slabs of equal size. 32 frames of 128 x 128 pixels are drawn together by `vmap` in one
-compiled program. Times are the best of 5 rounds; CPU time counts all cores, so on a busy machine
-`cores / CPU time` is what an idle one reaches at most.
+The scene is the synthetic arm with 11,000 Gaussians in 6 parts, whose joints differ in each frame, or a
+splat file that is cut into 6 slabs of equal size, each of which moves a little in each frame. The camera sees
+all of it, or is the first one of a capture with a square image. 32 frames of 128 x 128 pixels are drawn
+together by `vmap` in one compiled program. Times are the best of 5 rounds; CPU time counts all cores, so on a
+busy machine `cores / CPU time` is what an idle one reaches at most.
 """
 
 import os
@@ -44,8 +45,8 @@ def arm() -> tuple[sx.Scene, twins.Frames, sx.Camera]:
     return scene, jax.tree.map(lambda *rows: jnp.stack(rows), *found), camera
 
 
-def slabs(path: str) -> tuple[sx.Scene, twins.Frames, sx.Camera]:
-    """Returns a splat file as parts, poses that move each a little, and a camera that sees all of it."""
+def slabs(path: str, capture: str | None = None) -> tuple[sx.Scene, twins.Frames, sx.Camera]:
+    """Returns a splat file as parts, poses that move each a little, and a camera."""
     gaussians = sx.load(path)
     order = np.argsort(np.asarray(gaussians.means[:, 0]))
     parts = {
@@ -55,11 +56,15 @@ def slabs(path: str) -> tuple[sx.Scene, twins.Frames, sx.Camera]:
     places = np.random.default_rng(0).normal(size=(FRAMES, SLABS, 3)).astype(np.float32) * 0.01
     turns = np.tile(np.float32([1, 0, 0, 0]), (FRAMES, SLABS, 1))
     camera = overview(np.asarray(gaussians.means), (SIZE, SIZE))
+    if capture:
+        view = sx.load_dataset(capture).views[0].camera
+        focal = float(view.fy) * SIZE / view.height
+        camera = sx.Camera.simple_pinhole(focal, view.cam_from_world, SIZE, SIZE)
     return sx.Scene(parts), twins.Frames(jnp.asarray(turns), jnp.asarray(places), tuple(parts)), camera
 
 
-def main(path: str | None = None) -> None:
-    scene, frames, camera = slabs(path) if path else arm()
+def main(path: str | None = None, capture: str | None = None) -> None:
+    scene, frames, camera = slabs(path, capture) if path else arm()
     scene = jax.tree.map(jnp.asarray, scene)
     print(f"{len(scene):,} Gaussians in {len(scene.names)} parts, {os.cpu_count()} cores")
     programs = {

@@ -23,14 +23,18 @@ from splatax.dataset import Dataset, PointCloud
 from splatax.demo.scenes import SCENES
 from splatax.losses import Photometric
 from splatax.training.appearance import Exposure
+from splatax.training.density import Mcmc
 from splatax.training.density.growth import ByStep
+from splatax.training.density.splitting import Halves
 from splatax.training.noise import Langevin
+from splatax.training.optimizer import SceneExtent
 from splatax.training.priors import Sparsity
 from splatax.training.recipes import Recipe, ShSchedule, default, room_for
 from splatax.training.resolution import Resolution
 
 SIZE = (320, 240)
 DEFAULTS = 3_000, 2  # steps and downscale
+IMPROVED_GS = Halves(distance=1.35, along=0.55, across=0.893, opacity=0.6)  # of arXiv 2508.12313
 Variant = Callable[[Recipe], Recipe]
 
 
@@ -69,6 +73,13 @@ def density(recipe: Recipe, **changes: object) -> Recipe:
     return replace(recipe, density=replace(recipe.density, **changes))
 
 
+def copying(recipe: Recipe) -> Recipe:
+    """Returns a recipe whose new Gaussians are copies drawn by opacity, at the same steps and as many."""
+    old = recipe.density
+    strategy = Mcmc(old.every, old.start, old.until, old.growth, old.min_opacity, old.max_gaussians)
+    return replace(recipe, density=strategy)
+
+
 def prior(recipe: Recipe, opacity: float, scale: float) -> Recipe:
     """Returns a recipe with other weights of the penalties."""
     return replace(recipe, objective=replace(recipe.objective, prior=Sparsity(opacity, scale)))
@@ -105,6 +116,10 @@ VARIANTS: dict[str, Variant] = {
     "scale penalty / 3": lambda r: prior(r, 0.01, 0.003),
     "noise": lambda r: noise(r, 5e5),
     "noise / 4": lambda r: noise(r, 1.25e5),
+    "copies": lambda r: copying(r),
+    "hard halves": lambda r: density(r, halves=IMPROVED_GS),
+    "parents at random": lambda r: density(r, focus=0.0),
+    "steps in extents": lambda r: replace(r, optimizer=replace(r.optimizer, reach=SceneExtent())),
     "focus 1": lambda r: density(r, focus=1.0),
     "focus 2": lambda r: density(r, focus=2.0),
     "splits until 0.5": lambda r: density(r, until=r.steps // 2),

@@ -1,6 +1,7 @@
 """Measures rigs on two models with known poses: `python docs/measure_rigs.py hand|robot|recover STEPS COUNT`.
 
-`recover` takes two more numbers: the width of the photos, and how many show each training pose.
+`recover` takes two more numbers: the width of the photos, and how many show each training pose. The word
+"antialiasing" at the end trains with `Antialiasing(0.1)`.
 
 The models are in SPLATAX_DATA/rigs: `hand-right.glb` of @webxr-input-profiles/assets (MIT), and
 `RobotExpressive.glb` by Tomas Laulhe (CC0). Their surfaces get a procedural texture and are photographed
@@ -14,64 +15,34 @@ from dataclasses import replace
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import numpy as np
+from make_hand import FINGERS, connected, curled
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
 import splatax as sx
-from splatax.demo.rigged import camera_around, posed_dataset
+from splatax.demo.meshes import photograph_mesh
+from splatax.demo.rigged import camera_around, moves_of, posed_dataset
 from splatax.io.rigs import read_body
 from splatax.metrics import to_8bit
 from splatax.scene.binding import covering
 from splatax.scene.body import Body
 from splatax.scene.rigged import RiggedScene
-from splatax.scene.skeleton import Pose, Skeleton
+from splatax.scene.skeleton import Pose
 from splatax.scene.skin import skin
 from splatax.training.posing import Search, fit_pose
 from splatax.training.rigged import optimize_rig, recipe_for
 from splatax.training.rigged_step import Learned
 
 DATA = Path(os.environ.get("SPLATAX_DATA", Path(__file__).parents[2] / "shared" / "data")) / "rigs"
-FINGERS = ("thumb", "index-finger", "middle-finger", "ring-finger", "pinky-finger")
-BONES = ("metacarpal", "phalanx-proximal", "phalanx-intermediate", "phalanx-distal", "tip")
+FREE, STIFF = (0.0, 0.0, 0.0), (0.0, 0.05, 0.05)  # fingers bend about x, and hardly twist or bend sideways
 SIZE = 128
 PICTURE = Path(__file__).parent / "images" / "rigs.jpg"
 
 
 def hand() -> Body:
-    """Returns the hand. Its joints, which hang on one node in the file, are connected to chains."""
-    body = read_body(DATA / "hand-right.glb")
-    skeleton = body.skeleton
-    parents = dict(zip(skeleton.names, (skeleton.names[max(p, 0)] for p in skeleton.parents), strict=True))
-    for finger in FINGERS:
-        chain = [f"{finger}-{bone}" for bone in BONES if f"{finger}-{bone}" in skeleton.names]
-        parents |= dict(zip(chain, ["wrist", *chain], strict=False))
-    above = tuple(
-        -1 if skeleton.parents[i] < 0 else skeleton.names.index(parents[name])
-        for i, name in enumerate(skeleton.names)
-    )
-    worlds = np.asarray(skeleton.worlds(skeleton.rest), np.float64)
-    root = np.asarray(skeleton.root, np.float64)
-    locals_ = np.stack(
-        [np.linalg.inv(worlds[p] if p >= 0 else root) @ w for w, p in zip(worlds, above, strict=True)]
-    )
-    scales = np.linalg.norm(locals_[:, :3, :3], axis=1)
-    quats = Rotation.from_matrix(locals_[:, :3, :3] / scales[:, None]).as_quat()[:, [3, 0, 1, 2]]
-    rest = Pose(*(jnp.asarray(rows, jnp.float32) for rows in (locals_[:, :3, 3], quats, scales)))
-    return replace(body, skeleton=replace(skeleton, rest=rest, parents=above))
-
-
-def curled(skeleton: Skeleton, angles: dict[str, float]) -> Pose:
-    """Returns a pose with the three bones of each finger bent by an angle, radians."""
-    return skeleton.turned(
-        {
-            name: jnp.array([-angle, 0.0, 0.0])
-            for finger, angle in angles.items()
-            for name in skeleton.names
-            if name.startswith(finger) and "phalanx" in name
-        }
-    )
+    """Returns the hand, with its joints in chains."""
+    return connected(read_body(DATA / "hand-right.glb"))
 
 
 def photographed(
@@ -89,24 +60,60 @@ def photographed(
 
 
 def psnr(gaussians, rig, poses, views, pose_of) -> float:
-    """Returns the mean PSNR over photos, dB, over white."""
+    """Returns the mean PSNR over photos, dB, of whole images over white."""
+    errors = squared_errors(gaussians, rig, poses, views, pose_of)
+    return float(np.mean([-10 * np.log10(np.mean(error)) for error in errors]))
+
+
+def squared_errors(gaussians, rig, poses, views, pose_of) -> list[np.ndarray]:
+    """Returns the squared errors of each photo over white, [h w 3]."""
 
     @jax.jit
     def draw(pose, camera):
         posed = skin(gaussians, rig, rig.skeleton.worlds(pose))
         return sx.render(posed, camera, background=sx.WHITE).rgb
 
-    scores = []
+    errors = []
     for view in views:
-        photo = over_white(view.pixels())
         drawn = to_8bit(np.asarray(draw(poses[pose_of[view.name]], view.camera))) / 255.0
-        scores.append(-10 * np.log10(np.mean((drawn - photo) ** 2)))
-    return float(np.mean(scores))
+        errors.append((drawn - over_white(view.pixels())) ** 2)
+    return errors
+
+
+def silhouettes(body: Body, pose: Pose, camera: sx.Camera) -> dict[str, np.ndarray]:
+    """Returns the pixels that the body, and that its rigid parts, fill by more than half.
+
+    Rigid parts are the triangles whose three corners follow one and the same joint only.
+    """
+    surface = body.surface
+    joints = np.take_along_axis(surface.indices, surface.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
+    alone = surface.weights.max(axis=1) > 1 - 1e-6
+    own, single = joints[surface.triangles], alone[surface.triangles].all(axis=1)
+    rigid = np.repeat(single & (own == own[:, :1]).all(axis=1), 3)
+    posed = surface.posed(moves_of(body, pose))[surface.triangles].reshape(-1, 3)
+    corners, flags = np.arange(len(posed)).reshape(-1, 3), np.tile(rigid[:, None] * 1.0, 3)
+    drawn = photograph_mesh(camera, posed, corners, posed, flags, lambda _, colors: colors) / 255.0
+    return {"silhouette": drawn[..., 3] > 0.5, "rigid parts": drawn[..., 0] * drawn[..., 3] > 0.5}
+
+
+def report_psnr(name: str, body, last, poses, views, pose_of) -> None:
+    """Prints the mean PSNR over photos of whole images, inside the silhouette, and in rigid parts."""
+    errors = squared_errors(last.gaussians, last.rig, poses, views, pose_of)
+    scores: dict[str, list[float]] = {}
+    for view, error in zip(views, errors, strict=True):
+        masks = silhouettes(body, poses[pose_of[view.name]], view.camera)
+        for region, mask in ({"whole image": np.ones(error.shape[:2], bool)} | masks).items():
+            if mask.any():
+                scores.setdefault(region, []).append(-10 * np.log10(np.mean(error[mask])))
+    listed = ", ".join(f"{region} {np.mean(each):.2f} dB" for region, each in scores.items())
+    print(f"{name}: {listed}")
 
 
 def trained(body, dataset, poses, pose_of, steps: int, count: int, learned=Learned(), seconds=None):
     """Trains, and returns the last progress, with the time that the steps took."""
     recipe = recipe_for(steps, count)
+    if "antialiasing" in sys.argv:  # blurs by about the area of a pixel, and makes sharper edges
+        recipe = replace(recipe, drawing=replace(recipe.drawing, low_pass=sx.Antialiasing(0.1)))
     began, cpu = None, 0.0
     for progress in optimize_rig(dataset, recipe, covering(body, count // 2), poses, pose_of, learned):
         if began is None:
@@ -133,7 +140,7 @@ def measure_hand(steps: int, count: int) -> None:
         ("training poses, other photos", others.train, other_of),
         ("held-out poses", (*dataset.test, *others.test), pose_of | other_of),
     ):
-        print(f"hand, {name}: {psnr(last.gaussians, last.rig, poses, views, names):.2f} dB")
+        report_psnr(f"hand, {name}", body, last, poses, views, names)
 
 
 def measure_robot(steps: int, count: int) -> None:
@@ -149,7 +156,7 @@ def measure_robot(steps: int, count: int) -> None:
     dataset, pose_of = photographed(body, poses, held_out, views=5)
     last = trained(body, dataset, poses, pose_of, steps, count)
     for name, views in (("training", dataset.train), ("unseen", dataset.test)):
-        print(f"robot, {name} clips: {psnr(last.gaussians, last.rig, poses, views, pose_of):.2f} dB")
+        report_psnr(f"robot, {name} clips", body, last, poses, views, pose_of)
     scene, camera = RiggedScene(last.gaussians, last.rig), camera_around(body, 0.4, 0.15, 2 * SIZE)
     names = ("Running0", "Punch1", "Dance0", "Dance2")
     truth = posed_dataset(body, {name: (poses[name], camera) for name in names})
@@ -192,16 +199,19 @@ def measure_recovery(steps: int, count: int, size: int = SIZE, views: int = 6) -
         a, b = (Rotation.from_quat(np.asarray(p.quats)[rows][:, [1, 2, 3, 0]]) for p in (pose, truth))
         return np.degrees((a.inv() * b).magnitude())
 
-    found = []
+    starts = {}
     for name in unseen:
         axes = rng.normal(size=(len(moved), 3))
         axes *= np.radians(10) / np.linalg.norm(axes, axis=1, keepdims=True)
-        start = body.skeleton.turned(dict(zip(moved, axes, strict=True)), poses[name])
-        photos = [view for view in dataset.test if pose_of[view.name] == name]
-        search = Search(steps=600, background=(1.0, 1.0, 1.0), joints=tuple(moved))
-        found.append(errors(fit_pose(scene, photos, start, search), poses[name]))
-        report(name, found[-1])
-    report("all", np.concatenate(found))
+        starts[name] = body.skeleton.turned(dict(zip(moved, axes, strict=True)), poses[name])
+    for title, stiffness in (("free", FREE), ("stiff", STIFF)):
+        found = []
+        search = Search(600, background=(1.0, 1.0, 1.0), joints=tuple(moved), stiffness=stiffness)
+        for name, start in starts.items():
+            photos = [view for view in dataset.test if pose_of[view.name] == name]
+            found.append(errors(fit_pose(scene, photos, start, search), poses[name]))
+            report(f"{title} joints, {name}", found[-1])
+        report(f"{title} joints, all", np.concatenate(found))
 
 
 def report(name: str, degrees: np.ndarray) -> None:
@@ -212,4 +222,4 @@ def report(name: str, degrees: np.ndarray) -> None:
 MEASURES = {"hand": measure_hand, "robot": measure_robot, "recover": measure_recovery}
 
 if __name__ == "__main__":
-    MEASURES[sys.argv[1]](*map(int, sys.argv[2:6]))
+    MEASURES[sys.argv[1]](*(int(word) for word in sys.argv[2:] if word.isdigit()))

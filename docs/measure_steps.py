@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from splatax import backends
 from splatax.bench.operations import images
 from splatax.bench.scenes import procedural
 from splatax.gaussians import Gaussians
@@ -79,7 +80,7 @@ def memory(name: str) -> int:
 def main(count: int, seen: float, past: str, name: str, steps: int) -> None:
     """Prints what the module's text says."""
     gaussians, batch = scene_of(count, seen)
-    recipe = PRESETS[name].build(30_000).on("cpu")
+    recipe = PRESETS[name].build(30_000).on(backends.resolve("cpu"))
     # A small extent keeps the means in place, so that each step does the same work.
     state = with_past(first_state(gaussians, recipe, extent=1e-6, photos=1), past)
     del gaussians

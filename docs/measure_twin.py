@@ -11,6 +11,7 @@ import sys
 import time
 from dataclasses import replace
 from functools import cache
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -241,12 +242,16 @@ def main(steps: int = 2500, count: int = 7_000, size: int = SIZE) -> None:
     frames = moved(photographer, twin)
     report(f"{CONFIGURATIONS} other configurations", [compared(*frame, draw) for frame in frames])
     pictured(frames[::10], draw)
-    for name in ("upper", "fore", "hand"):
-        errors = np.array([located(scene, truth, name, i) for i, (scene, truth) in enumerate(frames[::8])])
+    for name, (where, images) in product(
+        ("upper", "fore", "hand"),
+        {"": frames[::8], ", other images": moved(photographer, twin, 7)[::8]}.items(),
+    ):
+        errors = np.array([located(scene, truth, name, i) for i, (scene, truth) in enumerate(images)])
         angles, places = errors.T
         print(
-            f"pose of {name} from one frame: rotation mean {angles.mean():.2f}, largest {angles.max():.2f} "
-            f"degrees; place mean {100 * places.mean():.2f} %, largest {100 * places.max():.2f} % of depth"
+            f"pose of {name} from one frame{where}: rotation mean {angles.mean():.2f}, largest "
+            f"{angles.max():.2f} degrees; place mean {100 * places.mean():.2f} %, largest "
+            f"{100 * places.max():.2f} % of depth"
         )
 
 

@@ -10,14 +10,13 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
-from splatax import backends
 from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
 from splatax.math import quaternions
 from splatax.outputs import over
+from splatax.pipeline import composite
 from splatax.sky import Sky
 from splatax.splats import Splats
-from splatax.stages import composite
 from splatax.training import per_photo
 from splatax.training.feed import Batch
 from splatax.training.optimizer import Adam, free_coefficients
@@ -206,13 +205,13 @@ def _second_order(
     background_key, sign_key = jax.random.split(jax.random.fold_in(state.key, state.step))
     background = recipe.drawing.background.sample(background_key)
     found = compare(state, batch, recipe, background)
-    kernels, progress = backends.resolve(recipe.drawing.backend), state.step / state.total
+    kernels, progress = recipe.drawing.kernels, state.step / state.total
     scene, adam = state.gaussians, state.opt_state[0]
     living = jnp.sum(scene.opacity_logits > -jnp.inf)
 
     def probed() -> Gaussians:
         def image(splats: Splats) -> Array:
-            return over(*composite(splats, splats.colors, backend=kernels), background)
+            return over(*composite(splats, splats.colors, kernels), background)
 
         drawn, back = jax.vjp(image, found.shown.splats)
         photo = photo_over(batch.photo, background)

@@ -1,11 +1,13 @@
 """The part of splatax that works with only jax, optax, jaxtyping and numpy: python minimal.py [ARRAYS.npz]
 
-With a path, also trains, and writes the picture and the gradients that it has checked.
+With a path, also trains, differentiates in every way, and writes the picture and the derivatives that it has
+checked.
 """
 
 import json
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -46,6 +48,38 @@ assert np.allclose(sums, rgb, atol=1e-6)  # over black
 assert float(alpha.max()) > 0.5
 assert all(np.isfinite(leaf).all() and np.any(leaf) for leaf in jax.tree.leaves(gradient))
 
+
+def moved(shift):
+    """The picture of a camera beside the first one."""
+    there = replace(camera, cam_from_world=camera.cam_from_world.at[:3, 3].add(shift))
+    return sx.render(gaussians, there, outputs=("rgb",), backend=backend).rgb
+
+
+def loss(gaussians):
+    """A scalar that is not linear in the picture."""
+    return jnp.mean(jnp.square(sx.render(gaussians, camera, outputs=("rgb",), backend=backend).rgb))
+
+
+def derivatives():
+    """Of forward mode, of batches, and second ones, each checked against another way to it."""
+    still, along = jnp.zeros(3), jnp.array([0.1, -0.2, 0.3])
+    jacobian = jax.jacfwd(moved)(still)
+    _, tangent = jax.jvp(moved, (still,), (along,))
+    assert np.abs(tangent).max() > 0.01
+    assert np.allclose(jacobian @ along, tangent, atol=1e-4)
+    shifts = jnp.stack([still, along])
+    batch, batch_of_jacobians = jax.vmap(moved)(shifts), jax.vmap(jax.jacfwd(moved))(shifts)
+    assert np.allclose(batch, [moved(shift) for shift in shifts], atol=1e-5)
+    assert np.allclose(batch_of_jacobians[0], jacobian, atol=1e-4)
+    direction = jax.tree.map(jnp.ones_like, gaussians)
+    _, product = jax.jvp(jax.grad(loss), (gaussians,), (direction,))  # of the Hessian with a direction
+    same = jax.grad(lambda g: jax.jvp(loss, (g,), (direction,))[1])(gaussians)
+    for one, other in zip(jax.tree.leaves(product), jax.tree.leaves(same), strict=True):
+        assert np.any(one)
+        assert np.allclose(one, other, atol=1e-3 * float(jnp.max(jnp.abs(one))))
+    return jax.tree.leaves((tangent, jacobian, batch, batch_of_jacobians, product))
+
+
 with tempfile.TemporaryDirectory() as folder:  # a capture with one photo, to be decoded by pillow
     frame = {"file_path": "photo.png", "transform_matrix": np.eye(4).tolist()}
     capture = {"fl_x": 30, "fl_y": 30, "cx": 16, "cy": 12, "w": 32, "h": 24, "frames": [frame]}
@@ -67,4 +101,4 @@ if sys.argv[1:]:
     recipe = sx.recipes.default(steps=2, max_gaussians=3000).on(backend)
     trained = sx.fit(dataset, recipe)
     assert len(trained) > 0
-    np.savez(sys.argv[1], rgb, *jax.tree.leaves(gradient))
+    np.savez(sys.argv[1], rgb, *jax.tree.leaves(gradient), *derivatives())

@@ -14,6 +14,8 @@ from pathlib import Path
 
 import pytest
 
+import splatax as sx
+
 ROOT = Path(__file__).parents[1]
 GENERATED = ROOT / "docs" / "reference.md"
 PAGES = [ROOT / "README.md", *sorted({*(ROOT / "docs").glob("*.md")} - {GENERATED})]
@@ -27,6 +29,20 @@ for script in map(pathlib.Path, sys.argv[1:]):
     os.chdir(empty)
     runpy.run_path(str(script), run_name="__main__")
 """
+
+
+SUFFIXES = {".py", ".md", ".toml", ".sh", ".yaml", ".html", ".js", ".h", ".cc", ".cu", ".cuh"}
+BUILT = "viewer.js"
+
+
+def texts() -> list[Path]:
+    """All texts of the checkout, apart from what is built and other people's packages."""
+    inside = [path for name in ("src", "tests", "docs", "native") for path in (ROOT / name).rglob("*")]
+    return [
+        path
+        for path in [*ROOT.iterdir(), *inside]
+        if path.is_file() and (path.suffix in SUFFIXES or path.name == "Makefile") and path.name != BUILT
+    ]
 
 
 def code_of(page: Path, fence: str) -> str:
@@ -118,3 +134,45 @@ def test_a_link_to_a_section_that_does_not_exist_is_found():
         anchor_of("Cameras before training: `--adjust-cameras`") == "cameras-before-training---adjust-cameras"
     )
     assert anchor_of("One [step](a.md): `training/step.py`") == "one-step-trainingsteppy"
+
+
+def test_no_text_installs_a_package_from_an_index_that_does_not_have_it():
+    asked = f"{'splatax'}["  # as in a requirement with extras; a checkout is '.[extra]'
+    assert [named(path) for path in texts() if asked in path.read_text(encoding="utf-8")] == []
+
+
+def test_the_newest_part_of_the_changelog_is_that_of_the_present_version():
+    newest = next(line for line in (ROOT / "CHANGELOG.md").read_text().splitlines() if line.startswith("## "))
+    assert newest.split()[1] == sx.__version__
+
+
+WIDTH = 120  # characters
+UNBROKEN = ("|", "#", "<", "![", "$$")  # tables, headings, HTML, pictures and formulas stay on one line
+
+
+def too_long(text: str) -> list[int]:
+    """The numbers of lines of prose that are too long and could be broken at a space, from 1."""
+    found, fenced, before = [], False, ""
+    for number, line in enumerate(text.splitlines(), start=1):
+        words = line.lstrip()
+        if words.startswith("```"):
+            fenced = not fenced
+        indented = line.startswith("    ") and (not before.strip() or before.startswith("    "))
+        breakable = " " in words[: WIDTH - (len(line) - len(words))].removeprefix("- ")
+        if len(line) > WIDTH and breakable and not (fenced or indented or words.startswith(UNBROKEN)):
+            found.append(number)
+        before = line
+    return found
+
+
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "CHANGELOG.md"], ids=named)
+def test_lines_of_prose_fit_a_terminal(page):
+    assert too_long(page.read_text(encoding="utf-8")) == []
+
+
+def test_a_long_line_of_prose_is_found_and_a_long_table_code_or_link_is_not():
+    long = "word " * 30
+    assert too_long(f"{long}\n- {long}\n\n{long}") == [1, 2, 4]
+    link = f"https://example.org/{'a' * 120}"
+    assert too_long(f"| {long} |\n```\n{long}\n```\n\n    {long}\n\n# {long}\n$$ {long} $$") == []
+    assert too_long(f"- {link}\n{link}") == []

@@ -3,7 +3,7 @@
 gsplat (Apache-2.0) states what its kernels compute as functions of plain PyTorch. They are read from the
 installed package, without importing it, so that nothing is compiled and no GPU is needed:
 
-    pip install 'splatax[gsplat]'
+    pip install -e '.[gsplat,test]'
     pytest tests/test_gsplat_reference.py
 
 The released package has no such function for the unscented transform. Its seven points are projected here by
@@ -27,7 +27,7 @@ from splatax.footprints import Unscented
 from splatax.low_pass import Antialiasing, Dilation
 from splatax.math import harmonics
 
-torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install 'splatax[gsplat]'")
+torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install '.[gsplat]'")
 
 SIZE = (64, 48)
 ROUNDING = 1e-9  # of sums of products of float64 with values up to 1e3
@@ -39,7 +39,7 @@ def reference():
     """gsplat's module of reference functions."""
     package = importlib.util.find_spec("gsplat")
     if package is None or not package.submodule_search_locations:
-        pytest.skip("gsplat is not installed: pip install 'splatax[gsplat]'")
+        pytest.skip("gsplat is not installed: pip install '.[gsplat]'")
     path = Path(package.submodule_search_locations[0]) / "cuda" / "_torch_impl.py"
     if not path.is_file():
         pytest.skip(f"this version of gsplat has no {path.name}: install gsplat 1.5")

@@ -8,13 +8,26 @@ property or a module opens with a noun phrase. A name is public if no part of it
 
 import ast
 import re
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 
 import splatax
+from splatax.cli.commands import COMMANDS
+from splatax.cli.options import flag
+from splatax.cli.paragraphs import groups_of
 
 ROOT = Path(splatax.__file__).parent
+# Plurals that look like verbs in the third person. "Xs of ..." is a noun phrase, whatever X is.
+NOUNS = re.compile(
+    """areas|arrays|axes|bounds|boxes|bytes|cameras|centres|channels|colours|coordinates|corners|degrees|depths
+    |derivatives|differences|directions|distances|errors|fields|fractions|frames|gaussians|gradients|images
+    |indices|joints|lengths|levels|measurements|metres|milliseconds|moments|normals|numbers|options|pairs
+    |parameters|paths|photos|pixels|points|poses|positions|radii|rates|rays|rotations|rows|seconds|settings
+    |sizes|splats|statistics|tiles|values|variances|vectors|vertices|views""",
+    re.IGNORECASE | re.VERBOSE,
+)
 FORBIDDEN = re.compile(
     """about|above|after|against|along|among|and|around|as|at|because|before|behind|below|beside|between|beyond
     |but|by|during|except|for|from|how|if|in|inside|into|like|near|of|off|on|onto|or|out|outside|over|per|since
@@ -71,6 +84,8 @@ def faults(source):
             found.append(f"{name}: opens with {first!r}")
         elif kind == "function" and not (first.isalpha() and first[0].isupper() and first.endswith("s")):
             found.append(f"{name}: a function opens with a verb in the third person, not {first!r}")
+        elif kind == "function" and (NOUNS.fullmatch(first) or text.split()[1:2] == ["of"]):
+            found.append(f"{name}: a function opens with a verb, and {first!r} is a noun")
     return found
 
 
@@ -88,6 +103,8 @@ def test_docstrings_of_public_names_open_with_a_sentence(path):
         ('def key():\n    """Of the steps."""', "opens with 'Of'"),
         ('def key():\n    """The key of a step."""', "third person"),
         ('def key():\n    """`key` of a step."""', "third person"),
+        ('def keys():\n    """Keys of a step."""', "'Keys' is a noun"),
+        ('def axes():\n    """Rows: right and up."""', "'Rows' is a noun"),
         ('class Key:\n    """So many times as many."""', "opens with 'So'"),
         ('class Key:\n    seed: int\n    """Of all randomness."""', "Key.seed: opens with 'Of'"),
         (
@@ -105,6 +122,8 @@ def test_fragments_are_found(source, fault):
     "source",
     [
         '"""Scenes to time."""',
+        'def count():\n    """Counts the keys of a step."""',
+        'class Key:\n    @property\n    def rows(self):\n        """Rows of the key."""',
         'def key():\n    """Returns the key of a step."""',
         'def _key():\n    """Of the steps."""',
         'class Key:\n    @property\n    def old(self):\n        """True if the key was used."""',
@@ -137,3 +156,43 @@ def test_archaic_words_are_found():
     assert ARCHAIC.search("It is but a number.")
     assert ARCHAIC.search("The seed. Without it: 0.")
     assert not ARCHAIC.search("It is a recommended button, but a number would do.")
+
+
+OWN_FLAG = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
+COPIED = {"viewer/panels.py"}  # shows a command to copy, with the numbers of a box
+
+
+def flags_of(kinds):
+    """Lists the options of commands, those of their groups and of their own commands too."""
+    for kind in kinds:
+        yield from (flag(field.name) for field in fields(kind))
+        yield from flags_of(groups_of(kind))
+
+
+def strings_in(source):
+    """Yields the string constants of a module with their lines, docstrings and parts of f-strings too."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.lineno, node.value
+
+
+def test_the_library_never_speaks_of_command_line_flags():
+    """It says what is wrong; the command adds which flag helps. The flags of other programs are fine."""
+    own = set(flags_of(command.load() for command in COMMANDS.values()))
+    assert {"--out", "--sh-degree", "--blocks", "--clear", "--budget"} <= own
+    library = {str(path.relative_to(ROOT)): path for path in ROOT.rglob("*.py") if path.parent.name != "cli"}
+    found = [
+        f"{name}:{line} {said}"
+        for name, path in library.items()
+        if name not in COPIED
+        for line, text in strings_in(path.read_text())
+        for said in OWN_FLAG.findall(text)
+        if said in own
+    ]
+    assert found == []
+
+
+def test_a_flag_in_part_of_a_message_is_found():
+    ((_, text),) = strings_in('f"{city}: trained for another plan: --overwrite."')
+    assert OWN_FLAG.findall(text) == ["--overwrite"]
+    assert OWN_FLAG.findall("a run -- of one -v step--by--step") == []

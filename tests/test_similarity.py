@@ -1,5 +1,7 @@
 """A scene and a camera that are transformed together give the same image."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,6 +11,8 @@ from scipy.spatial.transform import Rotation
 
 import splatax as sx
 from scenes import camera_at, random_gaussians
+from splatax.cameras import RollingShutter
+from splatax.cameras.lenses import Orthographic
 from splatax.math import harmonics
 from splatax.transforms import Similarity, half_turn
 
@@ -30,6 +34,38 @@ def test_the_picture_stays(place, degree):
     assert before.rgb.std() > 0.1
     assert_allclose(after.rgb, before.rgb, atol=2e-3)  # float32 through other coordinates
     assert_allclose(after.depth, place.scale * before.depth, rtol=2e-3, atol=2e-3)
+
+
+@pytest.mark.parametrize("kind", ["moving", "parallel"])
+def test_the_picture_of_a_camera_with_lengths_of_its_own_stays(kind):
+    place, gaussians = PLACES[0], random_gaussians(n=150, degree=1)
+    camera = camera_at((1.0, -2.0, -3.0), size=(48, 40), focal=40.0)
+    if kind == "moving":
+        twist = jnp.array([0.1, 0.05, 0.0, 0.6, 0.0, 0.2])
+        camera = replace(camera, motion=RollingShutter(twist))
+    else:
+        camera = replace(camera, lens=Orthographic(), fx=camera.fx / 4, fy=camera.fy / 4)
+    before = sx.render(gaussians, camera)
+    after = sx.render(place.transform(gaussians), place.transform_camera(camera))
+    assert before.rgb.std() > 0.1
+    assert_allclose(after.rgb, before.rgb, atol=2e-3)
+    still = replace(place.transform_camera(camera), **{"motion": camera.motion, "fx": camera.fx})
+    assert np.abs(sx.render(place.transform(gaussians), still).rgb - before.rgb).max() > 0.05
+
+
+def test_a_camera_is_transformed_alike_under_jit_and_its_position_has_a_gradient():
+    place, camera = PLACES[0], camera_at((1.0, -2.0, -3.0))
+    traced = jax.jit(Similarity.transform_camera)(place.cast(jnp.float32), camera)
+    known = place.transform_camera(camera)
+    assert_allclose(traced.cam_from_world, known.cam_from_world, atol=2e-6)
+
+    def position(move, pose):
+        moved = Similarity(jnp.asarray(place.rotation, jnp.float32), move, jnp.float32(place.scale))
+        return moved.transform_camera(replace(camera, cam_from_world=pose)).position
+
+    move = jnp.asarray(place.translation, jnp.float32)
+    slope = jax.jit(jax.jacobian(position))(move, camera.cam_from_world)
+    assert_allclose(slope, np.eye(3), atol=1e-5)  # p' = s R p + t
 
 
 @pytest.mark.parametrize("degree", range(5))

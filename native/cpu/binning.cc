@@ -91,7 +91,8 @@ int append_spans(const Splat& splat, std::vector<Span>& spans) {
       const float leftmost = std::max(std::ceil(left - 0.51f), static_cast<float>(first * TILE));
       const float rightmost = std::min(std::floor(right - 0.49f), last * TILE + TILE - 1.0f);
       if (!(leftmost <= rightmost)) continue;
-      first = static_cast<int>(leftmost) / TILE, last = static_cast<int>(rightmost) / TILE;
+      first = static_cast<int>(leftmost) / TILE;
+      last = static_cast<int>(rightmost) / TILE;
     }
     append(spans, row, first, last);
     count += last - first + 1;
@@ -108,7 +109,8 @@ void Binning::collect(const Input& input, Workers& workers, int64_t max_pairs) {
   channel_count_ = input.channel_count;
   width_ = input.width;
   height_ = input.height;
-  columns = (input.width + TILE - 1) / TILE, rows = (input.height + TILE - 1) / TILE;
+  columns = (input.width + TILE - 1) / TILE;
+  rows = (input.height + TILE - 1) / TILE;
   Splat* collected = collected_.at_least(input.count);
   uint32_t* keys = keys_.at_least(input.count);
   int32_t* places = places_.at_least(input.count);
@@ -119,7 +121,8 @@ void Binning::collect(const Input& input, Workers& workers, int64_t max_pairs) {
       const Prepared rows(input, first, std::min(LANES, end - first));
       if (rows.drawn) rows.write(collected + place, [&](int row) { keys[place++] = sort_key(input.depths[row]); });
     }
-    begins[range] = begin, found[range] = place - begin;
+    begins[range] = begin;
+    found[range] = place - begin;
   });
   // Closes the gaps between the splats of the ranges, moving only keys and places.
   visible = found[0];
@@ -162,7 +165,8 @@ void Binning::divide(int64_t max_pairs) {
 // Sorts by the distance of keys from the least one, which has fewer digits than they have: the depths of a scene often
 // share the leading bits.
 void Binning::order(Workers& workers) {
-  sorted_keys_.at_least(visible), sorted_places_.at_least(visible);
+  sorted_keys_.at_least(visible);
+  sorted_places_.at_least(visible);
   if (visible == 0) return;
   const auto [least, most] = std::minmax_element(keys_.get(), keys_.get() + visible);
   const uint32_t origin = *least, span = *most - origin;
@@ -180,7 +184,8 @@ void Binning::order(Workers& workers) {
       int32_t* next = histogram_.of(range);
       for (int i = begin; i < end; ++i) {
         const int32_t to = next[digit(i)]++;
-        sorted_keys_[to] = keys_[i], sorted_places_[to] = places_[i];
+        sorted_keys_[to] = keys_[i];
+        sorted_places_[to] = places_[i];
       }
     });
     std::swap(keys_, sorted_keys_), std::swap(places_, sorted_places_);
@@ -226,7 +231,8 @@ void Binning::list(int number, Workers& workers) {
   int32_t total = 0;
   for (int i = 0; i <= count; ++i) {
     const int32_t own = i < count ? first[i] : 0;
-    first[i] = total, total += own;
+    first[i] = total;
+    total += own;
   }
   histogram_.place();
   int32_t* begins = starts_.at_least(tiles() + 1);

@@ -75,7 +75,8 @@ struct TileImage {
       const auto step = shapes.blend(i, x, y, T, alive);
       watch.see(step, i);
       for (int c = 0; c < C; ++c) sum[c] = multiply_add(step.weight, shapes.channel(i, c), sum[c]);
-      T = step.after, alive = step.alive;
+      T = step.after;
+      alive = step.alive;
       if (!any(alive)) break;
     }
     store(transmittance[b], where(alive, T, broadcast(0) - T));

@@ -23,7 +23,9 @@ struct Chunk {
       const auto read = [&](int from, int columns) {
         read_columns([&](int lane) { return rows[lane] + from; }, columns, [&](int k) { return fields[from + k] + first; });
       };
-      read(0, 4), read(4, 4), read(8, std::min(C + 1, 4));
+      read(0, 4);
+      read(4, 4);
+      read(8, std::min(C + 1, 4));
       if (C > 3) read(12, C - 3);
     }
     // Vectors read past the end, up to the next multiple of sixteen; splats there reach no pixel.
@@ -99,9 +101,11 @@ struct PixelCentres {
   SPLATAX_INLINE PixelCentres() {
     alignas(64) float columns[LANES], rows[LANES];
     for (int lane = 0; lane < LANES; ++lane) {
-      columns[lane] = lane % BLOCK + 0.5f, rows[lane] = lane / BLOCK + 0.5f;
+      columns[lane] = lane % BLOCK + 0.5f;
+      rows[lane] = lane / BLOCK + 0.5f;
     }
-    x = load(columns), y = load(rows);
+    x = load(columns);
+    y = load(rows);
   }
 };
 
@@ -130,7 +134,8 @@ struct Blend : Effect {
 
   SPLATAX_INLINE Blend(const Chunk& chunk, int i, Lanes x, Lanes y, Lanes transmittance, Mask alive_before) {
     const Lanes dx = x - broadcast(chunk.x[i]), dy = y - broadcast(chunk.y[i]);
-    t = multiply_add(broadcast(chunk.u[i]), dx, broadcast(chunk.v[i]) * dy), s = broadcast(chunk.w[i]) * dy;
+    t = multiply_add(broadcast(chunk.u[i]), dx, broadcast(chunk.v[i]) * dy);
+    s = broadcast(chunk.w[i]) * dy;
     const Lanes exponent = multiply_subtract_from(s, s, multiply_subtract_from(t, t, broadcast(chunk.level[i])));
     blend(exponent, transmittance, alive_before);
   }

@@ -18,8 +18,10 @@ namespace splatax {
 SPLATAX_INLINE void transpose_parts(__m512 (&r)[4]) {
   const __m512 ab = _mm512_unpacklo_ps(r[0], r[1]), cd = _mm512_unpacklo_ps(r[2], r[3]);
   const __m512 AB = _mm512_unpackhi_ps(r[0], r[1]), CD = _mm512_unpackhi_ps(r[2], r[3]);
-  r[0] = _mm512_shuffle_ps(ab, cd, 0x44), r[1] = _mm512_shuffle_ps(ab, cd, 0xee);
-  r[2] = _mm512_shuffle_ps(AB, CD, 0x44), r[3] = _mm512_shuffle_ps(AB, CD, 0xee);
+  r[0] = _mm512_shuffle_ps(ab, cd, 0x44);
+  r[1] = _mm512_shuffle_ps(ab, cd, 0xee);
+  r[2] = _mm512_shuffle_ps(AB, CD, 0x44);
+  r[3] = _mm512_shuffle_ps(AB, CD, 0xee);
 }
 
 // Reads `width` numbers, at most four, at row_at(lane) for each lane, and stores them as columns to to(k).
@@ -53,8 +55,10 @@ SPLATAX_INLINE void write_columns(const From& from, int width, const RowAt& row_
   };
 #pragma GCC unroll 4
   for (int i = 0; i < 4; ++i) {
-    put(i, _mm512_castps512_ps128(r[i])), put(i + 4, _mm512_extractf32x4_ps(r[i], 1));
-    put(i + 8, _mm512_extractf32x4_ps(r[i], 2)), put(i + 12, _mm512_extractf32x4_ps(r[i], 3));
+    put(i, _mm512_castps512_ps128(r[i]));
+    put(i + 4, _mm512_extractf32x4_ps(r[i], 1));
+    put(i + 8, _mm512_extractf32x4_ps(r[i], 2));
+    put(i + 12, _mm512_extractf32x4_ps(r[i], 3));
   }
 }
 
@@ -73,8 +77,10 @@ SPLATAX_INLINE void store_four(float* to, Four a) { std::memcpy(to, &a, sizeof a
 SPLATAX_INLINE void transpose(Four& a, Four& b, Four& c, Four& d) {
   const Four ab = __builtin_shufflevector(a, b, 0, 4, 1, 5), cd = __builtin_shufflevector(c, d, 0, 4, 1, 5);
   const Four AB = __builtin_shufflevector(a, b, 2, 6, 3, 7), CD = __builtin_shufflevector(c, d, 2, 6, 3, 7);
-  a = __builtin_shufflevector(ab, cd, 0, 1, 4, 5), b = __builtin_shufflevector(ab, cd, 2, 3, 6, 7);
-  c = __builtin_shufflevector(AB, CD, 0, 1, 4, 5), d = __builtin_shufflevector(AB, CD, 2, 3, 6, 7);
+  a = __builtin_shufflevector(ab, cd, 0, 1, 4, 5);
+  b = __builtin_shufflevector(ab, cd, 2, 3, 6, 7);
+  c = __builtin_shufflevector(AB, CD, 0, 1, 4, 5);
+  d = __builtin_shufflevector(AB, CD, 2, 3, 6, 7);
 }
 
 // Reads `width` numbers, at most four, at row_at(lane) for each lane, and stores them as columns to to(k).
@@ -85,8 +91,10 @@ SPLATAX_INLINE void read_columns(const RowAt& row_at, int width, const To& to) {
       Four a = load_four(row_at(lane)), b = load_four(row_at(lane + 1));
       Four c = load_four(row_at(lane + 2)), d = load_four(row_at(lane + 3));
       transpose(a, b, c, d);
-      store_four(to(0) + lane, a), store_four(to(1) + lane, b);
-      store_four(to(2) + lane, c), store_four(to(3) + lane, d);
+      store_four(to(0) + lane, a);
+      store_four(to(1) + lane, b);
+      store_four(to(2) + lane, c);
+      store_four(to(3) + lane, d);
     } else {
       for (int k = 0; k < width; ++k) {
         for (int i = lane; i < lane + 4; ++i) to(k)[i] = row_at(i)[k];
@@ -103,8 +111,10 @@ SPLATAX_INLINE void write_columns(const From& from, int width, const RowAt& row_
       Four a = load_four(from(0) + lane), b = load_four(from(1) + lane);
       Four c = load_four(from(2) + lane), d = load_four(from(3) + lane);
       transpose(a, b, c, d);
-      store_four(row_at(lane), a), store_four(row_at(lane + 1), b);
-      store_four(row_at(lane + 2), c), store_four(row_at(lane + 3), d);
+      store_four(row_at(lane), a);
+      store_four(row_at(lane + 1), b);
+      store_four(row_at(lane + 2), c);
+      store_four(row_at(lane + 3), d);
     } else {
       for (int i = lane; i < lane + 4; ++i) {
         for (int k = 0; k < width; ++k) row_at(i)[k] = from(k)[i];
@@ -127,7 +137,9 @@ class Columns {
   SPLATAX_INLINE Vector vector(int k) const { return {load(values_[k]), load(values_[k + 1]), load(values_[k + 2])}; }
   SPLATAX_INLINE void set(int k, Lanes column) { store(values_[k], column); }
   SPLATAX_INLINE void set(int k, const Vector& columns) {
-    store(values_[k], columns.x), store(values_[k + 1], columns.y), store(values_[k + 2], columns.z);
+    store(values_[k], columns.x);
+    store(values_[k + 1], columns.y);
+    store(values_[k + 2], columns.z);
   }
 
   SPLATAX_INLINE void read(const float* rows, int width, int count) {
@@ -183,7 +195,8 @@ SPLATAX_INLINE void write_numbers(Lanes values, float* numbers, int count) {
 }
 SPLATAX_INLINE void write_pairs(Lanes x, Lanes y, float* rows, int count) {
   Columns<2> columns;
-  columns.set(0, x), columns.set(1, y);
+  columns.set(0, x);
+  columns.set(1, y);
   columns.write(rows, 2, count);
 }
 SPLATAX_INLINE void write_vectors(const Vector& values, float* rows, int count) {

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "ffi.h"
-#include "harmonics.h"
+#include "projection.h"
 
 namespace splatax {
 

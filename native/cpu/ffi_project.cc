@@ -112,7 +112,9 @@ ffi::Error project_forward_mode(ffi::ThreadPool threads, FloatArray means, Float
       const Gaussians at = seen.gaussians(batch, view);
       const float *own = batch.of(camera, view), *reach = batch.of(extents, view);
       PushedView& group = views_at[{at.means, at.quats, at.log_scales, at.opacity_logits, at.sh, own, reach}];
-      group.gaussians = at, group.view = settings.view(own), group.extents = reach;
+      group.gaussians = at;
+      group.view = settings.view(own);
+      group.extents = reach;
       group.directions.push_back({of(d_means, view), of(d_quats, view), of(d_log_scales, view), of(d_opacity_logits, view),
                                   of(d_sh, view), of(d_camera, view), batch.of(d_means2d, view),
                                   batch.of(d_sqrt_conics, view), batch.of(d_depths, view), batch.of(d_colors, view),

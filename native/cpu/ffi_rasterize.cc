@@ -10,7 +10,6 @@
 #include "survey.h"
 #include "tangent.h"
 #include "views.h"
-#include "wide.h"
 
 namespace splatax {
 namespace {

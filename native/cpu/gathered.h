@@ -26,7 +26,8 @@ class Gathered16 {
       std::copy_n(from.sqrt_conics + 3 * row, 3, d_sqrt_conics_ + 3 * i);
       std::copy_n(from.colors + 3 * row, 3, d_colors_ + 3 * i);
       std::copy_n(from.extents + 2 * row, 2, extents_ + 2 * i);
-      d_depths_[i] = from.depths[row], d_opacities_[i] = from.opacities[row];
+      d_depths_[i] = from.depths[row];
+      d_opacities_[i] = from.opacities[row];
     }
   }
 

@@ -40,9 +40,12 @@ constexpr int AHEAD = 16;  // splats whose rows are prefetched: depth scatters t
 
 void expect(const Input& input, int32_t number, const Gradients& gradients) {
   const size_t row = number;
-  __builtin_prefetch(input.sqrt_conics + 3 * row), __builtin_prefetch(input.opacities + row);
-  __builtin_prefetch(gradients.means2d + 2 * row, 1), __builtin_prefetch(gradients.sqrt_conics + 3 * row, 1);
-  __builtin_prefetch(gradients.opacities + row, 1), __builtin_prefetch(gradients.channels + row * input.channel_count, 1);
+  __builtin_prefetch(input.sqrt_conics + 3 * row);
+  __builtin_prefetch(input.opacities + row);
+  __builtin_prefetch(gradients.means2d + 2 * row, 1);
+  __builtin_prefetch(gradients.sqrt_conics + 3 * row, 1);
+  __builtin_prefetch(gradients.opacities + row, 1);
+  __builtin_prefetch(gradients.channels + row * input.channel_count, 1);
   if (gradients.pull) __builtin_prefetch(gradients.pull + 2 * row, 1);
 }
 
@@ -133,7 +136,9 @@ void rasterize_gradient(const Input& input, const Cotangents& cotangents, const 
     const auto clear = [&](float* array, size_t columns) {
       std::fill(array + begin * columns, array + end * columns, 0.0f);
     };
-    clear(gradients.means2d, 2), clear(gradients.sqrt_conics, 3), clear(gradients.opacities, 1);
+    clear(gradients.means2d, 2);
+    clear(gradients.sqrt_conics, 3);
+    clear(gradients.opacities, 1);
     clear(gradients.channels, input.channel_count);
     if (gradients.pull) clear(gradients.pull, 2);
   });

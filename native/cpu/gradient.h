@@ -23,7 +23,9 @@ constexpr int PARTIALS = PULL + 2;     // floats for a pair: the moments, dL/d c
 // scalars only: a vector load from freshly stored scalars stalls, and so does the reverse.
 SPLATAX_INLINE void move_moments(const float* sums, float dx, float dy, float* partials) {
   const float g = sums[0], gx = sums[1] + dx * g, gy = sums[2] + dy * g;
-  partials[0] = g, partials[1] = gx, partials[2] = gy;
+  partials[0] = g;
+  partials[1] = gx;
+  partials[2] = gy;
   partials[3] = sums[3] + dx * (sums[1] + gx);
   partials[4] = sums[4] + dx * sums[2] + dy * gx;
   partials[5] = sums[5] + dy * (sums[2] + gy);
@@ -55,7 +57,8 @@ struct CentresOfBlocks {
   CentresOfBlocks() {
     for (int b = 0; b < BLOCKS; ++b) {
       for (int lane = 0; lane < LANES; ++lane) {
-        x[b][lane] = block_left(b) + lane % BLOCK + 0.5f, y[b][lane] = block_top(b) + lane / BLOCK + 0.5f;
+        x[b][lane] = block_left(b) + lane % BLOCK + 0.5f;
+        y[b][lane] = block_top(b) + lane / BLOCK + 0.5f;
       }
     }
   }
@@ -83,7 +86,8 @@ struct TileGradient {
       for (int i = 0; i < chunk.size && live; ++i) {
         if (i + AHEAD < chunk.size && blocks[i + AHEAD]) {
           const int32_t later = pairs[i + AHEAD].index;
-          __builtin_prefetch(partials[later], 1), __builtin_prefetch(partials[later] + PARTIALS - 1, 1);
+          __builtin_prefetch(partials[later], 1);
+          __builtin_prefetch(partials[later] + PARTIALS - 1, 1);
           __builtin_prefetch(flags + later, 1);
         }
         if (!(blocks[i] & live)) continue;
@@ -124,7 +128,9 @@ struct TileGradient {
       const Lanes g = opacity_gradient(step, own, still_behind);
       const Lanes x = across_tile - half, y = down_tile - half;
       const Lanes gx = g * x, gy = g * y;
-      total[0] = total[0] + g, total[1] = total[1] + gx, total[2] = total[2] + gy;
+      total[0] = total[0] + g;
+      total[1] = total[1] + gx;
+      total[2] = total[2] + gy;
       total[3] = multiply_add(gx, x, total[3]);
       total[4] = multiply_add(gx, y, total[4]);
       total[5] = multiply_add(gy, y, total[5]);

@@ -2,10 +2,9 @@
 #pragma once
 
 #include "duals.h"
+#include "projection.h"
 
 namespace splatax {
-
-constexpr int MAX_COEFFICIENTS = 25;  // degree 4
 
 // Computes the basis functions at a unit direction, band by band; T is Lanes, or Dual<3> for gradients too.
 template <class T>

@@ -11,7 +11,8 @@ namespace splatax {
 class Histogram {
  public:
   void clear(int ranges, int buckets) {
-    ranges_ = ranges, buckets_ = buckets;
+    ranges_ = ranges;
+    buckets_ = buckets;
     counts_.assign(static_cast<size_t>(ranges) * buckets, 0);
   }
 
@@ -25,7 +26,8 @@ class Histogram {
     for (int bucket = 0; bucket < buckets_; ++bucket) {
       for (int range = 0; range < ranges_; ++range) {
         int32_t& count = of(range)[bucket];
-        total += count, count = total - count;
+        total += count;
+        count = total - count;
       }
     }
   }

@@ -5,6 +5,10 @@
 // This file is compiled once for each instruction set, into a library of its own.
 #pragma once
 
+#ifdef SPLATAX_HANDLERS
+#error "Handlers are shared between builds, whose lanes differ: see CMakeLists.txt"
+#endif
+
 #include <cstdint>
 #include <cstring>
 
@@ -18,6 +22,8 @@ namespace splatax {
 #define SPLATAX_INLINE inline __attribute__((always_inline))
 
 constexpr int LANES = 16;
+constexpr int MANTISSA = 23;               // bits
+constexpr uint32_t ROOT_HALF = 0x3f3504f3;  // the bits of sqrt(1/2)
 
 #if defined(__AVX512F__)
 
@@ -26,6 +32,9 @@ struct Lanes {
 };
 struct Mask {
   __mmask16 m;
+};
+struct Scaled {
+  Lanes number, exponent;  // number 2^exponent, with a number in [sqrt(1/2), sqrt(2))
 };
 
 SPLATAX_INLINE Lanes broadcast(float x) { return {_mm512_set1_ps(x)}; }
@@ -58,6 +67,13 @@ SPLATAX_INLINE Lanes reciprocal(Lanes x) {
 SPLATAX_INLINE Lanes round(Lanes x) { return {_mm512_roundscale_ps(x.v, _MM_FROUND_TO_NEAREST_INT)}; }
 SPLATAX_INLINE Lanes times_power_of_two(Lanes x, Lanes integer) { return {_mm512_scalef_ps(x.v, integer.v)}; }
 
+SPLATAX_INLINE Scaled scaled(Lanes x) {
+  const __m512i bits = _mm512_castps_si512(x.v);
+  const __m512i exponent = _mm512_srai_epi32(_mm512_sub_epi32(bits, _mm512_set1_epi32(static_cast<int>(ROOT_HALF))), MANTISSA);
+  const __m512i number = _mm512_sub_epi32(bits, _mm512_slli_epi32(exponent, MANTISSA));
+  return {{_mm512_castsi512_ps(number)}, {_mm512_cvtepi32_ps(exponent)}};
+}
+
 #else
 
 #if defined(__AVX2__)
@@ -68,12 +84,16 @@ constexpr int WIDTH = 4;
 constexpr int PARTS = LANES / WIDTH;
 typedef float Floats __attribute__((vector_size(4 * WIDTH)));
 typedef int32_t Ints __attribute__((vector_size(4 * WIDTH)));
+typedef uint32_t Words __attribute__((vector_size(4 * WIDTH)));  // differences of these wrap around
 
 struct Lanes {
   Floats v[PARTS];
 };
 struct Mask {
   Ints m[PARTS];
+};
+struct Scaled {
+  Lanes number, exponent;  // number 2^exponent, with a number in [sqrt(1/2), sqrt(2))
 };
 
 // Calls operation(part) for each native vector; unrolled, because PARTS is a constant.
@@ -156,7 +176,19 @@ SPLATAX_INLINE Lanes round(Lanes x) { return SPLATAX_LANES((x.v[k] + 12582912.0f
 SPLATAX_INLINE Lanes times_power_of_two(Lanes x, Lanes integer) {
   integer = max(integer, broadcast(-126));
   return SPLATAX_LANES(reinterpret_cast<Floats>(reinterpret_cast<Ints>(x.v[k]) +
-                                                (__builtin_convertvector(integer.v[k], Ints) << 23)));
+                                                (__builtin_convertvector(integer.v[k], Ints) << MANTISSA)));
+}
+
+SPLATAX_INLINE Scaled scaled(Lanes x) {
+  Scaled result;
+#pragma GCC unroll 4
+  for (int k = 0; k < PARTS; ++k) {
+    const Words bits = reinterpret_cast<Words>(x.v[k]);
+    const Ints exponent = reinterpret_cast<Ints>(bits - ROOT_HALF) >> MANTISSA;
+    result.number.v[k] = reinterpret_cast<Floats>(bits - (reinterpret_cast<Words>(exponent) << MANTISSA));
+    result.exponent.v[k] = __builtin_convertvector(exponent, Floats);
+  }
+  return result;
 }
 
 #endif

@@ -106,7 +106,8 @@ RowSums similarity_row(const Pictures& pictures, const Kernel& kernel, const Lin
       const size_t at = static_cast<size_t>(r) * line.length + i;
       const Lanes x = load_some(pictures.image + at, count), y = load_some(pictures.photo + at, count);
       const Lanes weight = broadcast(kernel.weight[r - row + RADIUS]), wx = weight * x, wy = weight * y;
-      moments[0] += wx, moments[1] += wy;
+      moments[0] += wx;
+      moments[1] += wy;
       moments[2] = multiply_add(wx, x, moments[2]);
       moments[3] = multiply_add(wy, y, moments[3]);
       moments[4] = multiply_add(wx, y, moments[4]);
@@ -186,7 +187,10 @@ float photometric(const Pictures& pictures, float ssim_weight, float* gradient, 
     }
   });
   RowSums total;
-  for (const RowSums& row : sums) total.absolute += row.absolute, total.similarity += row.similarity;
+  for (const RowSums& row : sums) {
+    total.absolute += row.absolute;
+    total.similarity += row.similarity;
+  }
   return static_cast<float>(((1 - ssim_weight) * total.absolute - ssim_weight * total.similarity) / pixels +
                             ssim_weight);
 }

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "columns.h"
+#include "logarithm.h"
 #include "planes.h"
 #include "splats.h"
 
@@ -13,7 +14,6 @@ namespace splatax {
 constexpr float LEAST_LOG_SCALE = -60, FLATTEST = -12, STEEPEST = 2, FARTHEST = 0.9f;
 constexpr float LARGEST_LOG_SCALE = 40;  // whose square is a float; the limit by depth is then the smaller one
 constexpr float LEAST_REACH = 1e-6f;     // squared
-constexpr float LOG2_E = 1.442695041f;
 
 SPLATAX_INLINE Vector zero_vector() { return {broadcast(0), broadcast(0), broadcast(0)}; }
 SPLATAX_INLINE Vector operator-(const Vector& a) { return broadcast(-1) * a; }
@@ -53,7 +53,9 @@ struct Plane {
  private:
   void read(const PlaneRows<const float>& rows, size_t row, int count) {
     const Columns<9> places(rows.places + 9 * row, 9, count);
-    x = places.vector(0), y = places.vector(3), near = places.vector(6);
+    x = places.vector(0);
+    y = places.vector(3);
+    near = places.vector(6);
     disparity = read_numbers(rows.disparities + row, count);
     const Columns<4> quats(rows.quats + 4 * row, 4, count);
     for (int k = 0; k < 4; ++k) quat[k] = where(shown, quats[k], k == 0 ? 1 : 0);
@@ -64,7 +66,9 @@ struct Plane {
       sized[k] = (broadcast(LEAST_LOG_SCALE) <= given) & (given <= broadcast(LARGEST_LOG_SCALE));
     }
     const Columns<3> conics(rows.sqrt_conics + 3 * row, 3, count);
-    u = where(shown, conics[0], 1), v = where(shown, conics[1], 0), w = where(shown, conics[2], 1);
+    u = where(shown, conics[0], 1);
+    v = where(shown, conics[1], 0);
+    w = where(shown, conics[2], 1);
     opacity = where(shown, read_numbers(rows.opacities + row, count), 1);
     along_rays = rows.blurs != nullptr;
     blur = along_rays ? where(shown, read_numbers(rows.blurs + row, count), 0) : broadcast(0);
@@ -93,7 +97,9 @@ struct Plane {
   }
 
   void tilt() {
-    along[0] = cross(y, near), along[1] = cross(near, x), along[2] = cross(x, y);
+    along[0] = cross(y, near);
+    along[1] = cross(near, x);
+    along[2] = cross(x, y);
     inverse_area = broadcast(1) / sqrt(dot(along[2], along[2]));
     const Lanes volume = dot(near, along[2]);
     sign = where(broadcast(0) < volume, broadcast(1), or_zero(volume < broadcast(0), broadcast(-1)));
@@ -118,14 +124,12 @@ struct Plane {
 
   // The limit of the slope; see `planes` in splatax/surfaces.py.
   void bound() {
-    first = slope[0] / u, second = (slope[1] - v * first) / w;
+    first = slope[0] / u;
+    second = (slope[1] - v * first) / w;
     const Lanes squared = first * first + second * second;
     const Mask sloped = broadcast(0) < squared;
     drawn = sqrt(where(sloped, along_rays ? (slope[0] * slope[0] + slope[1] * slope[1]) * blur : squared, 1));
-    alignas(64) float logs[LANES];
-    store(logs, max(opacity * broadcast(1 / MIN_ALPHA), broadcast(1)));
-    for (float& value : logs) value = 2 * std::log(value);
-    const Lanes reached = load(logs);
+    const Lanes reached = 2.0f * log(max(opacity * broadcast(1 / MIN_ALPHA), broadcast(1)));
     reaches = broadcast(LEAST_REACH) < reached;
     reach = sqrt(max(reached, broadcast(LEAST_REACH)));
     const Lanes steepest = STEEPEST * spread, farthest = FARTHEST * disparity / reach;

@@ -9,7 +9,8 @@ constexpr int PART = 4096;  // rows that one thread works on at a time
 
 // Cross product's chain rule: gradients of a and b from that of a x b.
 SPLATAX_INLINE void pull_cross(const Vector& a, const Vector& b, const Vector& d, Vector& d_a, Vector& d_b) {
-  d_a += cross(b, d), d_b += cross(d, a);
+  d_a += cross(b, d);
+  d_b += cross(d, a);
 }
 
 // The chain rule backwards through `Plane`.
@@ -31,10 +32,12 @@ struct PlanePullBack {
     Lanes d_down = broadcast(0);
     for (int n = 0; n < 2; ++n) {
       const Lanes d = -(d_slope[n] / p.down);
-      d_normal += d * p.along[n], d_along[n] += d * p.normal;
+      d_normal += d * p.along[n];
+      d_along[n] += d * p.normal;
       d_down += d * p.slope[n];
     }
-    d_normal += d_down * p.along[2], d_along[2] += d_down * p.normal;
+    d_normal += d_down * p.along[2];
+    d_along[2] += d_down * p.normal;
     axes(d_axis);
     const Vector square = p.inverse_area * p.along[2];
     d_along[2] += (p.sign * p.inverse_area) * (d_facing - dot(square, d_facing) * square);
@@ -45,7 +48,9 @@ struct PlanePullBack {
 
   void write(const PlaneRows<float>& to, size_t row, int count) const {
     Columns<9> places;
-    places.set(0, or_zero(p.shown, d_x)), places.set(3, or_zero(p.shown, d_y)), places.set(6, or_zero(p.shown, d_near));
+    places.set(0, or_zero(p.shown, d_x));
+    places.set(3, or_zero(p.shown, d_y));
+    places.set(6, or_zero(p.shown, d_near));
     places.write(to.places + 9 * row, 9, count);
     write_numbers(or_zero(p.shown, d_disparity), to.disparities + row, count);
     // Turning by a small angle about an axis moves a unit quaternion by half the product of both.
@@ -69,7 +74,8 @@ struct PlanePullBack {
 
  private:
   void bound(Lanes d_first_out, Lanes d_second_out) {
-    d_slope[0] = d_first_out * p.limit, d_slope[1] = d_second_out * p.limit;
+    d_slope[0] = d_first_out * p.limit;
+    d_slope[1] = d_second_out * p.limit;
     const Lanes drawn = where(p.limited, p.drawn, 1);
     const Lanes rate = or_zero(p.limited, (d_first_out * p.slope[0] + d_second_out * p.slope[1]) / drawn);
     d_spread = or_zero(p.by_spread, STEEPEST * rate);
@@ -84,8 +90,11 @@ struct PlanePullBack {
     }
     const Lanes d_second = 2.0f * (p.second * d_squared) / p.w;
     const Lanes d_first = (2.0f * (p.first * d_squared) - d_second * p.v) / p.u;
-    d_slope[0] += d_first, d_slope[1] += d_second;
-    d_u = -(d_first * p.first), d_v = -(d_second * p.first), d_w = -(d_second * p.second);
+    d_slope[0] += d_first;
+    d_slope[1] += d_second;
+    d_u = -(d_first * p.first);
+    d_v = -(d_second * p.first);
+    d_w = -(d_second * p.second);
   }
 
   void axes(const Vector& d_axis) {

@@ -1,9 +1,8 @@
 // From rows of the input to `Splat`s: sixteen at a time.
 #pragma once
 
-#include <cmath>
-
 #include "columns.h"
+#include "logarithm.h"
 #include "splats.h"
 
 namespace splatax {
@@ -28,7 +27,8 @@ class Prepared {
       const Lanes low = max(zero, ceil(means[axis] - extents[axis] - 0.5f));
       const Lanes high = min(size[axis], floor(means[axis] + extents[axis] - 0.5f));
       inside = inside & (low <= high);
-      store(tiles_[axis], low * broadcast(1.0f / TILE)), store(tiles_[2 + axis], high * broadcast(1.0f / TILE));
+      store(tiles_[axis], low * broadcast(1.0f / TILE));
+      store(tiles_[2 + axis], high * broadcast(1.0f / TILE));
     }
     drawn = bits(inside) & ((1u << count) - 1);
     if (drawn) fill(means, opacity);
@@ -44,14 +44,19 @@ class Prepared {
       const int lane = __builtin_ctz(left);
       rows[lane] = &to->x;
       to->row = first_ + lane;
-      to->first_column = static_cast<uint16_t>(tiles_[0][lane]), to->last_column = static_cast<uint16_t>(tiles_[2][lane]);
-      to->first_row = static_cast<uint16_t>(tiles_[1][lane]), to->last_row = static_cast<uint16_t>(tiles_[3][lane]);
+      to->first_column = static_cast<uint16_t>(tiles_[0][lane]);
+      to->last_column = static_cast<uint16_t>(tiles_[2][lane]);
+      to->first_row = static_cast<uint16_t>(tiles_[1][lane]);
+      to->last_row = static_cast<uint16_t>(tiles_[3][lane]);
       each(first_ + lane);
     }
     const auto put = [&](int from, int columns) {
       write_columns([&](int k) { return fields_[from + k]; }, columns, [&](int lane) { return rows[lane] + from; });
     };
-    put(0, 4), put(4, 4), put(8, 4), put(12, 1);
+    put(0, 4);
+    put(4, 4);
+    put(8, 4);
+    put(12, 1);
   }
 
  private:
@@ -59,10 +64,7 @@ class Prepared {
   void fill(const Columns<2>& means, Lanes opacity) {
     const Columns<3> roots(input_.sqrt_conics + 3 * static_cast<size_t>(first_), 3, count_);
     const Lanes u = ROOT_HALF_LOG2_E * roots[0], v = ROOT_HALF_LOG2_E * roots[1], w = ROOT_HALF_LOG2_E * roots[2];
-    alignas(64) float levels[LANES];
-    store(levels, opacity);
-    for (int lane = 0; lane < LANES; ++lane) levels[lane] = drawn >> lane & 1 ? std::log2(levels[lane]) : 0;
-    const Lanes level = load(levels), reach = multiply_add(level - LOG2_MIN_ALPHA, broadcast(1.001f), broadcast(1e-3f));
+    const Lanes level = log2(opacity), reach = multiply_add(level - LOG2_MIN_ALPHA, broadcast(1.001f), broadcast(1e-3f));
     const Lanes columns[] = {means[0], means[1], u, v, w, level, reach, quotient(-v, u), quotient(-u * v, multiply_add(v, v, w * w))};
     for (int k = 0; k < 9; ++k) store(fields_[k], columns[k]);
     const int channels = input_.channel_count;

@@ -53,7 +53,8 @@ class Scattered {
  private:
   void write(int count) {
     Gaussians some = gaussians_;
-    some.rows = rows_, some.count = count;
+    some.rows = rows_;
+    some.count = count;
     Columns<3> means;
     read_fields(means, some, some.means, 3, 0, count);
     const Vector color = colors(means.vector(0), some, view_, 0, count);
@@ -89,13 +90,9 @@ void project_lanes(const Gaussians& gaussians, const View& view, const Projected
     return (broadcast(0) < x + width) & (x - width < broadcast(view.width)) & (broadcast(0) < y + height) &
            (y - height < broadcast(view.height));
   };
-  // No splat reaches further than one of opacity 1, so logarithms of the others that are near the image suffice.
-  const Mask possible = p.usable & (broadcast(MIN_ALPHA) <= p.opacity) &
-                        in_image(sqrt(broadcast(FURTHEST) * p.a), sqrt(broadcast(FURTHEST) * p.c));
-  alignas(64) float reach[LANES];
-  store(reach, or_zero(possible, max(p.opacity * broadcast(1 / MIN_ALPHA), broadcast(1))));
-  for (float& value : reach) value = value > 0 ? 2 * std::log(value) : 0;
-  const Lanes width = sqrt(load(reach) * p.a), height = sqrt(load(reach) * p.c);
+  const Mask possible = p.usable & (broadcast(MIN_ALPHA) <= p.opacity);
+  const Lanes reach = or_zero(possible, 2.0f * log(max(p.opacity * broadcast(1 / MIN_ALPHA), broadcast(1))));
+  const Lanes width = sqrt(reach * p.a), height = sqrt(reach * p.c);
   Mask visible = possible & in_image(width, height);
 
   Vector color{broadcast(0), broadcast(0), broadcast(0)};
@@ -157,7 +154,8 @@ class Sparse {
 
   void write(int count) {
     Gaussians some = gaussians_;
-    some.rows = rows_, some.count = count;
+    some.rows = rows_;
+    some.count = count;
     alignas(64) float means2d[2 * LANES], sqrt_conics[3 * LANES], depths[LANES], extents[2 * LANES], colors[3 * LANES];
     alignas(64) float opacities[LANES];
     project_lanes<Pinhole>(some, view_, {means2d, sqrt_conics, depths, extents, colors, opacities}, 0, count);
@@ -166,7 +164,8 @@ class Sparse {
       std::copy_n(means2d + 2 * i, 2, splats_.means2d + 2 * row);
       std::copy_n(sqrt_conics + 3 * i, 3, splats_.sqrt_conics + 3 * row);
       std::copy_n(extents + 2 * i, 2, splats_.extents + 2 * row), std::copy_n(colors + 3 * i, 3, splats_.colors + 3 * row);
-      splats_.depths[row] = depths[i], splats_.opacities[row] = opacities[i];
+      splats_.depths[row] = depths[i];
+      splats_.opacities[row] = opacities[i];
     }
   }
 

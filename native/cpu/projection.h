@@ -8,6 +8,8 @@
 
 namespace splatax {
 
+constexpr int MAX_COEFFICIENTS = 25;  // of spherical harmonics: degree 4
+
 struct Gaussians {
   const float* means;           // [count 3]
   const float* quats;           // [count 4]

@@ -46,7 +46,9 @@ class Slopes : public Seen {
       : inverse_z_(broadcast(1) / point.z),
         x_(point.x * inverse_z_, broadcast(own[LOW_X]), broadcast(own[HIGH_X])),
         y_(point.y * inverse_z_, broadcast(own[LOW_Y]), broadcast(own[HIGH_Y])) {
-    place = {point.x * inverse_z_, point.y * inverse_z_}, near = {x_.value, y_.value}, depth = point.z;
+    place = {point.x * inverse_z_, point.y * inverse_z_};
+    near = {x_.value, y_.value};
+    depth = point.z;
     rows[0] = {inverse_z_, broadcast(0), -(inverse_z_ * near.x)};
     rows[1] = {broadcast(0), inverse_z_, -(inverse_z_ * near.y)};
   }
@@ -55,8 +57,10 @@ class Slopes : public Seen {
   SPLATAX_INLINE Vector pull(const Seen& d, Camera& camera, int first) const {
     const Lanes d_inverse = d.rows[0].x + d.rows[1].y - near.x * d.rows[0].z - near.y * d.rows[1].z;
     const Lanes d_near_x = d.near.x - inverse_z_ * d.rows[0].z, d_near_y = d.near.y - inverse_z_ * d.rows[1].z;
-    camera.add(first + LOW_X, or_zero(x_.below, d_near_x)), camera.add(first + HIGH_X, or_zero(x_.above, d_near_x));
-    camera.add(first + LOW_Y, or_zero(y_.below, d_near_y)), camera.add(first + HIGH_Y, or_zero(y_.above, d_near_y));
+    camera.add(first + LOW_X, or_zero(x_.below, d_near_x));
+    camera.add(first + HIGH_X, or_zero(x_.above, d_near_x));
+    camera.add(first + LOW_Y, or_zero(y_.below, d_near_y));
+    camera.add(first + HIGH_Y, or_zero(y_.above, d_near_y));
     const Lanes d_x = d.place.x + inside(x_, d_near_x), d_y = d.place.y + inside(y_, d_near_y);
     return {d_x * inverse_z_, d_y * inverse_z_,
             d.depth - (d_x * place.x + d_y * place.y + d_inverse * inverse_z_) * inverse_z_};
@@ -100,7 +104,8 @@ class Bent {
 
   SPLATAX_INLINE Bent(const Vector& point, const View& view) : at_(point, view.camera + OWN) {
     const float* camera = view.camera;
-    focal_ = {broadcast(camera[FX]), broadcast(camera[FY])}, centre_ = {broadcast(camera[CX]), broadcast(camera[CY])};
+    focal_ = {broadcast(camera[FX]), broadcast(camera[FY])};
+    centre_ = {broadcast(camera[CX]), broadcast(camera[CY])};
     for (int m = 0; m < NUMBERS; ++m) numbers_[m] = broadcast(camera[MAP + m]);
     image_ = Map::bent(at_.place, numbers_);
     Lanes unused[NUMBERS];
@@ -108,7 +113,8 @@ class Bent {
       slopes_[i] = Map::pull(at_.near, numbers_, axis(i), unused);
       rows_[i] = slopes_[i].x * at_.rows[0] + slopes_[i].y * at_.rows[1];
     }
-    jacobian[0] = focal_.x * rows_[0], jacobian[1] = focal_.y * rows_[1];
+    jacobian[0] = focal_.x * rows_[0];
+    jacobian[1] = focal_.y * rows_[1];
   }
 
   Vector jacobian[2];
@@ -118,7 +124,8 @@ class Bent {
 
   template <class Camera>
   SPLATAX_INLINE Vector pull(const ImageOfPoint& d, Camera& camera) const {
-    camera.add(CX, d.x), camera.add(CY, d.y);
+    camera.add(CX, d.x);
+    camera.add(CY, d.y);
     // A culled image may be infinite.
     camera.add(FX, multiply_add(d.x, or_zero(finite(image_.x), image_.x), dot(d.jacobian[0], rows_[0])));
     camera.add(FY, multiply_add(d.y, or_zero(finite(image_.y), image_.y), dot(d.jacobian[1], rows_[1])));
@@ -133,7 +140,8 @@ class Bent {
       const Plane<Lanes> along{dot(d_rows[i], at_.rows[0]), dot(d_rows[i], at_.rows[1])};
       Dual<1> d_duals[NUMBERS];
       const Plane<Dual<1>> d_near = Map::pull(moving(at_.near, along), numbers_, axis(i), d_duals);
-      d_at.near.x += d_near.x.d[0], d_at.near.y += d_near.y.d[0];
+      d_at.near.x += d_near.x.d[0];
+      d_at.near.y += d_near.y.d[0];
       for (int m = 0; m < NUMBERS; ++m) camera.add(MAP + m, d_duals[m].d[0]);
     }
     return at_.pull(d_at, camera, OWN);

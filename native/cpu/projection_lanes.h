@@ -4,6 +4,7 @@
 
 #include "columns.h"
 #include "harmonics.h"
+#include "logarithm.h"
 #include "projection_fisheye.h"
 #include "projection_opencv.h"
 #include "projection_pinhole.h"
@@ -12,7 +13,6 @@
 namespace splatax {
 
 constexpr float MAX_LOG_SCALE = 40;  // as in splatax/projection.py
-constexpr float LOG2_E = 1.442695041f;
 constexpr int PART = 4096;  // Gaussians that one thread works on at a time
 
 // Reads numbers of sixteen Gaussians, from `first` on, as columns.
@@ -67,10 +67,12 @@ struct Projection {
       : means(means_of<Lens>(gaussians, view, first, count)), lens(means.point, view) {
     orient(gaussians, first, count);
     for (int k = 0; k < 3; ++k) factor.column[k] = means.rotation * oriented.column[k];
-    f = transposed_times(factor, lens.jacobian[0]), g = transposed_times(factor, lens.jacobian[1]);
+    f = transposed_times(factor, lens.jacobian[0]);
+    g = transposed_times(factor, lens.jacobian[1]);
     const Lanes size = dot(f, f) + dot(g, g), square = size * size;
     usable = means.seen & (absolute(square) < broadcast(INFINITY));
-    f = or_zero(usable, f), g = or_zero(usable, g);
+    f = or_zero(usable, f);
+    g = or_zero(usable, g);
     for (int k = 0; k < 3; ++k) {
       oriented.column[k] = or_zero(usable, oriented.column[k]);
       factor.column[k] = or_zero(usable, factor.column[k]);

@@ -22,11 +22,18 @@ struct Rational {
     const T q = c.x * c.x + c.y * c.y, qq = q * q, xy = c.x * c.y;
     const T divisor = polynomial(k + 3, q), factor = polynomial(k, q) / divisor;
     const T d_above = (c.x * w.x + c.y * w.y) / divisor, d_below = -1.0f * (d_above * factor);
-    d_k[0] = d_above * q, d_k[1] = d_above * qq, d_k[2] = d_above * (qq * q);
-    d_k[3] = d_below * q, d_k[4] = d_below * qq, d_k[5] = d_below * (qq * q);
+    d_k[0] = d_above * q;
+    d_k[1] = d_above * qq;
+    d_k[2] = d_above * (qq * q);
+    d_k[3] = d_below * q;
+    d_k[4] = d_below * qq;
+    d_k[5] = d_below * (qq * q);
     d_k[6] = 2.0f * (xy * w.x) + (q + 2.0f * (c.y * c.y)) * w.y;
     d_k[7] = (q + 2.0f * (c.x * c.x)) * w.x + 2.0f * (xy * w.y);
-    d_k[8] = q * w.x, d_k[9] = qq * w.x, d_k[10] = q * w.y, d_k[11] = qq * w.y;
+    d_k[8] = q * w.x;
+    d_k[9] = qq * w.x;
+    d_k[10] = q * w.y;
+    d_k[11] = qq * w.y;
     const C sideways = k[6] * w.x + k[7] * w.y, upwards = k[6] * w.y + k[7] * w.x;
     const T d_q = d_above * slope(k, q) + d_below * slope(k + 3, q) + (2.0f * (q * k[9]) + k[8]) * w.x +
                   (2.0f * (q * k[11]) + k[10]) * w.y + upwards;

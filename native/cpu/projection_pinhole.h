@@ -44,8 +44,10 @@ struct Pinhole {
     const Lanes d_kx = d.jacobian[0].x - x.value * d.jacobian[0].z, d_ky = d.jacobian[1].y - y.value * d.jacobian[1].z;
     const Lanes d_slope_x = d.x * fx + clip_gradient(x, -(kx * d.jacobian[0].z), fx, FX, CX, camera);
     const Lanes d_slope_y = d.y * fy + clip_gradient(y, -(ky * d.jacobian[1].z), fy, FY, CY, camera);
-    camera.add(FX, d_kx * inverse_z + d.x * slope_x), camera.add(FY, d_ky * inverse_z + d.y * slope_y);
-    camera.add(CX, d.x), camera.add(CY, d.y);
+    camera.add(FX, d_kx * inverse_z + d.x * slope_x);
+    camera.add(FY, d_ky * inverse_z + d.y * slope_y);
+    camera.add(CX, d.x);
+    camera.add(CY, d.y);
     return {d_slope_x * inverse_z, d_slope_y * inverse_z,
             d.depth - (d_kx * kx + d_ky * ky + d_slope_x * slope_x + d_slope_y * slope_y) * inverse_z};
   }

@@ -7,6 +7,8 @@
 
 namespace splatax {
 
+constexpr int NARROW_WALK = 16, WIDE_WALK = 64;  // channels of one walk over the splats
+
 struct Image {
   float* sums;   // [height width channel_count]
   float* alpha;  // [height width]

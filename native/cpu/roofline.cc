@@ -23,7 +23,10 @@ void count_slots(const Input& input, int32_t (*slots)[2], Workers& workers, Scra
   each_round(binning, workers, [&](const Round& round) {
     states.each_tile(workers, [&](const Tile& tile, TileImage<0>& state) {
       int32_t(&counts)[2] = slots[tile.number];
-      if (round.begin == 0) state.clear(input, tile), counts[0] = counts[1] = 0;
+      if (round.begin == 0) {
+        state.clear(input, tile);
+        counts[0] = counts[1] = 0;
+      }
       state.blend(input, tile, Slots{counts});
     });
   });

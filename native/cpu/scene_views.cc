@@ -45,7 +45,8 @@ void compress(const Visible& visible, const SplatGradients& all, int channel_cou
     rows[to] = visible.rows[i];
     std::copy_n(d_mean, 2, means2d + 2 * to), std::copy_n(d_root, 3, sqrt_conics + 3 * to);
     std::copy_n(d_channels, 3, colors + 3 * to);
-    opacities[to] = all.opacities[i], depths[to] = channel_count == GROUP ? d_channels[3] : 0;
+    opacities[to] = all.opacities[i];
+    depths[to] = channel_count == GROUP ? d_channels[3] : 0;
   }
 }
 
@@ -58,7 +59,10 @@ void each_projected(const SceneViews& scene, Workers& workers, SceneMemory& memo
   each_view((scene.views + together - 1) / together, workers, memory, [&](int group, Workers& threads, SceneMemory& own) {
     const int first = group * together, count = std::min(together, scene.views - first);
     if (threads.count() == 1) {
-      for (int i = 0; i < count; ++i) own.visible[i].count = 0, own.visible[i].make_room(scene.gaussians.count);
+      for (int i = 0; i < count; ++i) {
+        own.visible[i].count = 0;
+        own.visible[i].make_room(scene.gaussians.count);
+      }
       for (int part = 0; part < parts_of_scene(scene.gaussians.count); ++part) {
         for (int i = 0; i < count; ++i) own.visible[i].append(scene.gaussians, memory.bounds, scene.view(first + i), part);
       }
@@ -98,8 +102,10 @@ struct GradientsOfSome {
     };
     for (int i = 0; i < count; ++i) {
       const size_t row = rows[i];
-      add(means + 3 * i, 3, to.means + 3 * row), add(quats + 4 * i, 4, to.quats + 4 * row);
-      add(log_scales + 3 * i, 3, to.log_scales + 3 * row), add(opacity_logits + i, 1, to.opacity_logits + row);
+      add(means + 3 * i, 3, to.means + 3 * row);
+      add(quats + 4 * i, 4, to.quats + 4 * row);
+      add(log_scales + 3 * i, 3, to.log_scales + 3 * row);
+      add(opacity_logits + i, 1, to.opacity_logits + row);
       add(sh + numbers * i, numbers, to.sh + numbers * row);
     }
   }
@@ -110,7 +116,10 @@ void sum_over_views(const SceneViews& scene, const std::vector<SplatGradients>& 
                     const GaussianGradients& to, double* cameras, size_t stride) {
   const int coefficients = scene.gaussians.coefficients;
   const auto clear = [&](float* array, size_t columns) { std::fill(array + begin * columns, array + end * columns, 0.0f); };
-  clear(to.means, 3), clear(to.quats, 4), clear(to.log_scales, 3), clear(to.opacity_logits, 1);
+  clear(to.means, 3);
+  clear(to.quats, 4);
+  clear(to.log_scales, 3);
+  clear(to.opacity_logits, 1);
   clear(to.sh, 3 * static_cast<size_t>(coefficients));
   GradientsOfSome gradient;
   float ones[2 * PULLED_BACK];  // extents: none of these splats is culled

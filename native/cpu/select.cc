@@ -44,7 +44,8 @@ struct TileSelection {
       const Lanes row = broadcast(marked(tile.splats[tile.pairs[first_pair + i].splat].row));
       middle = where(step.drawn & (broadcast(0.5f) < T) & (step.after <= broadcast(0.5f)), row, middle);
       if (count > 0) insert(step.weight, row, b, count);
-      T = step.after, alive = step.alive;
+      T = step.after;
+      alive = step.alive;
       if (count == 0) alive = alive & (broadcast(0.5f) < T);  // the median is found, and nothing else is asked for
       if (!any(alive)) break;
     }
@@ -59,8 +60,10 @@ struct TileSelection {
     for (int k = 0; k < count; ++k) {
       const Lanes kept = load(weights[b][k]), kept_row = load(rows[b][k]);
       const Mask larger = kept < weight;
-      store(weights[b][k], where(larger, weight, kept)), store(rows[b][k], where(larger, row, kept_row));
-      weight = where(larger, kept, weight), row = where(larger, kept_row, row);
+      store(weights[b][k], where(larger, weight, kept));
+      store(rows[b][k], where(larger, row, kept_row));
+      weight = where(larger, kept, weight);
+      row = where(larger, kept_row, row);
     }
   }
 };

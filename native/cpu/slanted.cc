@@ -15,8 +15,10 @@ struct SlantedBlend : Effect {
   Mask met;                           // false where the blur is drawn
 
   SPLATAX_INLINE SlantedBlend(const SlantedShape& row, Lanes x, Lanes y, Lanes transmittance, Mask alive_before) {
-    dx = x - broadcast(row.x), dy = y - broadcast(row.y);
-    t = multiply_add(broadcast(row.u), dx, broadcast(row.v) * dy), s = broadcast(row.w) * dy;
+    dx = x - broadcast(row.x);
+    dy = y - broadcast(row.y);
+    t = multiply_add(broadcast(row.u), dx, broadcast(row.v) * dy);
+    s = broadcast(row.w) * dy;
     ahead = multiply_add(broadcast(row.gx), dx, multiply_add(broadcast(row.gy), dy, broadcast(1)));
     hx = multiply_add(broadcast(row.a), dx, broadcast(row.b) * dy);
     hy = multiply_add(broadcast(row.b), dx, broadcast(row.c) * dy);
@@ -116,22 +118,27 @@ struct SlantedGradient {
       const Lanes kx = k * step.dx, ky = k * step.dy, lx = l * step.dx, ly = l * step.dy;
       const Lanes ex = e * step.dx, ey = e * step.dy;
       total[0] += g;
-      total[1] += kx, total[2] += ky;
+      total[1] += kx;
+      total[2] += ky;
       total[3] = multiply_add(kx, step.dx, total[3]);
       total[4] = multiply_add(kx, step.dy, total[4]);
       total[5] = multiply_add(ky, step.dy, total[5]);
-      total[6] += l, total[7] += lx, total[8] += ly;
+      total[6] += l;
+      total[7] += lx;
+      total[8] += ly;
       total[9] = multiply_add(lx, step.dx, total[9]);
       total[10] = multiply_add(lx, step.dy, total[10]);
       total[11] = multiply_add(ly, step.dy, total[11]);
-      total[12] += ex, total[13] += ey;
+      total[12] += ex;
+      total[13] += ey;
       if (PULLED) {
         const Lanes across = multiply_add(broadcast(row.v), step.t, broadcast(row.w) * step.s);
         const Lanes along_x = multiply_add(step.ahead, broadcast(row.gx), step.hx);
         const Lanes along_y = multiply_add(step.ahead, broadcast(row.gy), step.hy);
         const Lanes x = multiply_subtract_from(l, along_x, k * broadcast(row.u) * step.t) + row.blur * ex;
         const Lanes y = multiply_subtract_from(l, along_y, k * across) + row.blur * ey;
-        total[SUMS - 2] += absolute(x), total[SUMS - 1] += absolute(y);
+        total[SUMS - 2] += absolute(x);
+        total[SUMS - 1] += absolute(y);
       }
 
       store(transmittance[b], where(step.alive, step.after, broadcast(0) - step.after));

@@ -69,7 +69,8 @@ struct TileSurvey {
         float* own = parts[b][rows.part[i]];
         store(own, load(own) + step.weight);
       }
-      T = step.after, alive = step.alive;
+      T = step.after;
+      alive = step.alive;
       if (!any(alive)) break;
     }
     store(median[b], middle);

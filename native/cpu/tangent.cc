@@ -143,7 +143,8 @@ struct TileTangent {
       store(list.odds[j], or_zero(flexible, step.alpha * reciprocal(broadcast(1) - step.alpha)));
       list.rows[j] = rows[i];
       list.count += any(step.drawn);
-      T = step.after, alive = step.alive;
+      T = step.after;
+      alive = step.alive;
       if (!any(alive)) break;
     }
     store(transmittance[b], where(alive, T, broadcast(0) - T));

@@ -51,6 +51,7 @@ void Bounds::fill(const Gaussians& gaussians, Workers& workers) {
   const int total = gaussians.count, parts = parts_of(total);
   const size_t padded = static_cast<size_t>(total) + LANES;
   float* to[] = {x.at_least(padded), y.at_least(padded), z.at_least(padded), reach.at_least(padded), spread.at_least(padded)};
+  float* reach_of = to[3];
   workers.each(parts, [&](int part) {
     each_lanes(part, total, [&](int first, int count) {
       const Vector mean = read_vectors(gaussians.means + 3 * static_cast<size_t>(first), count);
@@ -60,14 +61,10 @@ void Bounds::fill(const Gaussians& gaussians, Workers& workers) {
       const Lanes scale = exp2(LOG2_E * max(min(widest, broadcast(MAX_LOG_SCALE)), broadcast(-60)));
       const Lanes decay = exp2(max(min(-LOG2_E * logit, broadcast(120)), broadcast(-120)));
       const Lanes ratio = broadcast(1.0001f / MIN_ALPHA) / (decay + 1);
-      alignas(64) float reaches[LANES], ratios[LANES];
-      store(ratios, ratio);
-      for (int lane = 0; lane < LANES; ++lane) {
-        reaches[lane] = lane < count && ratios[lane] >= 1 ? 2 * std::log(ratios[lane]) : -1;
-      }
-      const Lanes reach = load(reaches);
+      const Lanes reach = where(broadcast(1) <= ratio, 2.0f * log(ratio), broadcast(-1));
       const Lanes columns[] = {mean.x, mean.y, mean.z, reach, reach * scale * scale};
       for (int k = 0; k < 5; ++k) store(to[k] + first, columns[k]);
+      std::fill(reach_of + first + count, reach_of + first + LANES, -1.0f);
     });
   });
 }
@@ -75,8 +72,12 @@ void Bounds::fill(const Gaussians& gaussians, Workers& workers) {
 void Visible::make_room(int rows_at_most) {
   const size_t most = rows_at_most;
   rows.at_least(most);
-  means2d.at_least(2 * most), sqrt_conics.at_least(3 * most), depths.at_least(most);
-  extents.at_least(2 * most), colors.at_least(3 * most), opacities.at_least(most);
+  means2d.at_least(2 * most);
+  sqrt_conics.at_least(3 * most);
+  depths.at_least(most);
+  extents.at_least(2 * most);
+  colors.at_least(3 * most);
+  opacities.at_least(most);
 }
 
 // Projects the splats [begin, end).

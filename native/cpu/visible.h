@@ -56,7 +56,8 @@ struct SplatGradients {
 // The Gaussians of a scene that have these numbers; nothing is copied.
 inline Gaussians gaussians_at(const Gaussians& scene, const int32_t* rows, int count) {
   Gaussians some = scene;
-  some.rows = rows, some.count = count;
+  some.rows = rows;
+  some.count = count;
   return some;
 }
 
@@ -66,8 +67,10 @@ inline void prefetch(const Gaussians& from, const int32_t* rows, int count) {
   const size_t numbers = 3 * static_cast<size_t>(from.coefficients);
   for (int i = 0; i < count; ++i) {
     const size_t row = rows[i];
-    __builtin_prefetch(from.means + 3 * row), __builtin_prefetch(from.quats + 4 * row);
-    __builtin_prefetch(from.log_scales + 3 * row), __builtin_prefetch(from.opacity_logits + row);
+    __builtin_prefetch(from.means + 3 * row);
+    __builtin_prefetch(from.quats + 4 * row);
+    __builtin_prefetch(from.log_scales + 3 * row);
+    __builtin_prefetch(from.opacity_logits + row);
     const float* sh = from.sh + numbers * row;
     for (size_t k = 0; k < numbers + LINE - 1; k += LINE) __builtin_prefetch(sh + k);
   }

@@ -6,7 +6,6 @@
 
 namespace splatax {
 
-constexpr int NARROW_WALK = 16, WIDE_WALK = 64;  // channels of one walk over the splats
 #if defined(__AVX512F__)
 constexpr int AT_ONCE = 16, SIDE_BY_SIDE = 8;  // channels, and splats, whose sums stay in registers together
 #else
@@ -75,7 +74,8 @@ struct WideImage {
       store(list.weight[list.count], step.weight);
       list.splat[list.count] = i;
       list.count += any(step.drawn);
-      T = step.after, alive = step.alive;
+      T = step.after;
+      alive = step.alive;
       if (!any(alive)) break;
     }
     store(transmittance[b], where(alive, T, broadcast(0) - T));

@@ -102,10 +102,14 @@ struct WideGradient {
       store(list.weight[k], step.weight);
       store(list.free[k], or_zero(flexible, step.weight));
       store(list.odds[k], or_zero(flexible, step.alpha * reciprocal(broadcast(1) - step.alpha)));
-      if (PULLED) store(list.t[k], step.t), store(list.s[k], step.s);
+      if (PULLED) {
+        store(list.t[k], step.t);
+        store(list.s[k], step.s);
+      }
       list.splat[k] = i;
       list.count += any(step.drawn);
-      T = step.after, alive = step.alive;
+      T = step.after;
+      alive = step.alive;
       if (!any(alive)) break;
     }
     store(transmittance[b], where(alive, T, broadcast(0) - T));
@@ -140,11 +144,17 @@ struct WideGradient {
       const Lanes gx = g * x, gy = g * y;
       auto& total = totals.moments[i];
       const auto add = [&](int m, Lanes part) { store(total[m], load(total[m]) + part); };
-      add(0, g), add(1, gx), add(2, gy), add(3, gx * x), add(4, gx * y), add(5, gy * y);
+      add(0, g);
+      add(1, gx);
+      add(2, gy);
+      add(3, gx * x);
+      add(4, gx * y);
+      add(5, gy * y);
       if (PULLED) {
         const Lanes t = load(list.t[k]), s = load(list.s[k]);
         const Lanes across = multiply_add(broadcast(chunk.v[i]), t, broadcast(chunk.w[i]) * s);
-        add(MOMENTS, absolute(g * broadcast(chunk.u[i]) * t)), add(MOMENTS + 1, absolute(g * across));
+        add(MOMENTS, absolute(g * broadcast(chunk.u[i]) * t));
+        add(MOMENTS + 1, absolute(g * across));
       }
     }
     store(behind[b], still_behind);

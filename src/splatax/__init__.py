@@ -7,7 +7,7 @@ only other parts need are not installed.
 import importlib
 from typing import TYPE_CHECKING
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"  # another one whenever a training step computes something else; see docs/resume.md
 
 HOMES = {  # public name -> module here that defines it
     "AlongRays": "low_pass",

@@ -4,12 +4,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from html import escape
 
-import numpy as np
-from jaxtyping import Array, Float
-
 from splatax.dataset import View
 from splatax.gaussians import Gaussians
-from splatax.rendering import BLACK
+from splatax.rendering import BLACK, Color
 
 
 @dataclass(frozen=True)
@@ -39,7 +36,7 @@ def view(
     views: Iterable[View] = (),
     *,
     title: str = "scene",
-    background: Float[Array, "3"] | Float[np.ndarray, "3"] = BLACK,
+    background: Color = BLACK,
     height: int = 480,
 ) -> Inline:
     """Shows a scene in a notebook, as the last line of a cell. It stays interactive in the saved notebook.
@@ -58,12 +55,11 @@ def view(
     from splatax import web  # here, so that `import splatax` does not load it
 
     cameras = {view.name: view.camera for view in views}
-    red, green, blue = (float(value) for value in background)
     page = web.document(
         gaussians,
         title=title,
         cameras=cameras,
-        background=(red, green, blue),
+        background=background,
         name=title,
     )
     return Inline(title, page, height)

@@ -1,7 +1,7 @@
 """render = rasterize . project: from a scene and a camera to a picture.
 
-The functions here are the public entry points. They check shapes and dtypes and resolve the backend once, so
-that kernels never get malformed arrays.
+The functions here are the public entry points. They check shapes and dtypes, so that kernels never get
+malformed arrays, and look the backend up once. What they trace gets its kernels, and cannot look one up.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from splatax import backends
+from splatax import backends, pipeline
 from splatax import splats as views
 from splatax.backends.protocol import Kernels, Selection
 from splatax.cameras import Camera
@@ -37,7 +37,7 @@ from splatax.shapes import check_arrays
 from splatax.sky import Surroundings
 from splatax.splats import Splats
 from splatax.stages import composite as composite
-from splatax.stages import draw, dtype_of
+from splatax.stages import dtype_of
 from splatax.stages import project as project
 from splatax.stages import select as select
 from splatax.varying import vary_together
@@ -49,9 +49,8 @@ BLENDED = tuple(OUTPUTS[name] for name in ("rgb", "alpha", "depth"))  # outputs 
 Source = tuple[Drawable, Camera] | None  # None where splats are drawn by themselves
 Named = dict[tuple[str, str], Array]  # by kind ("image" or "feature") and name
 Features = Mapping[str, Float[Array, "n _"]]
-BackgroundLike = (
-    tuple[float, float, float] | BackgroundArray | Float[np.ndarray, "3"] | Float[np.ndarray, "h w 3"]
-)
+Color = tuple[float, float, float] | Float[Array, "3"] | Float[np.ndarray, "3"]  # RGB in [0, 1]
+BackgroundLike = Color | BackgroundArray | Float[np.ndarray, "h w 3"]  # one colour, or one for each pixel
 
 
 @jax.tree_util.register_dataclass
@@ -90,10 +89,10 @@ class Renderer:
         wanted = [output for _, output in requested]
         if OUTPUTS["rgb"] in wanted and not features and all(output in BLENDED for output in wanted):
             depths = OUTPUTS["depth"] in wanted
-            image = draw(scene, camera, depths, self.low_pass, kernels, self.projection)
+            image = pipeline.draw(scene, camera, depths, self.low_pass, kernels, self.projection)
             if image is not None:
                 return _named(image, _checked(self.behind(camera), camera, image[1].dtype), requested)
-        splats = project(scene, camera, low_pass=self.low_pass, backend=kernels, projection=self.projection)
+        splats = pipeline.project(scene, camera, self.low_pass, kernels, self.projection)
         return _draw(splats, (scene, camera), self.behind(camera), features or {}, requested, kernels)
 
     def behind(self, camera: Camera) -> BackgroundLike:
@@ -276,8 +275,8 @@ def _blended(
             none = jnp.zeros((*median.shape, 0))
             found = Selection(none.astype(jnp.int32), none.astype(blended.dtype), median)
             return dict(zip(channels, jnp.split(blended, widths[:-1], axis=2), strict=True)), alpha, found
-    selection = select(view.splats, max(counts), backend=kernels) if counts else None
+    selection = pipeline.select(view.splats, max(counts), kernels) if counts else None
     if stacked is None:
         return {}, None, selection
-    blended, alpha = composite(painted.splats, stacked, backend=kernels)
+    blended, alpha = pipeline.composite(painted.splats, stacked, kernels)
     return dict(zip(channels, jnp.split(blended, widths[:-1], axis=2), strict=True)), alpha, selection

@@ -203,26 +203,32 @@ def normals_of(camera: Camera, depth: Float[Array, "h w"]) -> Float[Array, "h w 
     """Returns the normals of a depth image: unit vectors in the world, towards the camera.
 
     They are cross products of central differences of the points that the camera sees, one-sided at the
-    border. They are 0 where the pixel or one of its neighbours has no depth.
+    border. They are 0 where the pixel or one of its neighbours has no depth. On a canvas, the border is that
+    of the camera's frame.
 
     Args:
         camera: of the depth's size.
         depth: by the lens, world units; 0 where it is unknown.
     """
     known = depth > 0
+    width, height = camera.width, camera.height
+    if camera.frame is not None:
+        width, height = jnp.round(camera.frame).astype(jnp.int32)
     points = positions_of(camera, jnp.where(known, depth, 1))
-    right, left = _beside(points, 1, 1), _beside(points, 1, -1)
-    below, above = _beside(points, 0, 1), _beside(points, 0, -1)
-    around = (
-        known & _beside(known, 1, 1) & _beside(known, 1, -1) & _beside(known, 0, 1) & _beside(known, 0, -1)
-    )
+
+    def neighbours(values):
+        across = (_beside(values, 1, by, width) for by in (1, -1))
+        return (*across, *(_beside(values, 0, by, height) for by in (1, -1)))
+
+    right, left, below, above = neighbours(points)
+    around = jnp.all(jnp.stack([known, *neighbours(known)]), axis=0)
     return unit(jnp.where(around[..., None], jnp.cross(below - above, right - left), 0))
 
 
-def _beside(values: Array, axis: int, by: int) -> Array:
-    """Returns the values of the next pixels along an axis, and those of the border itself there."""
-    size = values.shape[axis]
-    return jnp.take(values, jnp.clip(jnp.arange(size) + by, 0, size - 1), axis=axis)
+def _beside(values: Array, axis: int, by: int, end: int | Array) -> Array:
+    """Returns the values of the next pixels along an axis, and those of the border itself at the border."""
+    places = jnp.arange(values.shape[axis], dtype=jnp.int32) + by
+    return jnp.take(values, jnp.clip(places, 0, end - 1), axis=axis)
 
 
 def unit(vectors: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:

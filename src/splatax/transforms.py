@@ -104,6 +104,14 @@ class Similarity:
         return cls(motion[:3, :3], motion[:3, 3])
 
     @property
+    def matrix(self) -> Float[np.ndarray, "4 4"]:
+        """The transform of homogeneous coordinates, in double precision. The numbers must be known."""
+        found = np.eye(4)
+        found[:3, :3] = float(self.scale) * np.asarray(self.rotation, np.float64)
+        found[:3, 3] = np.asarray(self.translation, np.float64)
+        return found
+
+    @property
     def on_host(self) -> bool:
         """True if all numbers are NumPy's or Python's, which are computed in double precision."""
         return not any(isinstance(leaf, jax.Array) for leaf in self._leaves())
@@ -149,14 +157,34 @@ class Similarity:
     def transform_camera(self, camera: Camera) -> Camera:
         """Returns the camera that sees the transformed scene as `camera` sees the scene; depths scale.
 
-        The camera's numbers must be known, not traced.
+        Its motion during the exposure scales too, and so does what parallel rays cover. Traceable. A pose and
+        a transform that are known are composed in double precision on the host.
         """
-        pose = np.asarray(camera.cam_from_world, np.float64)
-        rotation = pose[:3, :3] @ np.asarray(self.rotation, np.float64).T
-        moved = np.eye(4)
-        moved[:3, :3] = rotation
-        moved[:3, 3] = self.scale * pose[:3, 3] - rotation @ np.asarray(self.translation, np.float64)
-        return replace(camera, cam_from_world=jnp.asarray(moved, camera.cam_from_world.dtype))
+        pose = camera.cam_from_world
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in (*self._leaves(), pose)):
+            moved = _moved(self.cast(pose.dtype), pose)
+        else:
+            rotation, translation = (np.asarray(x, np.float64) for x in (self.rotation, self.translation))
+            known = Similarity(rotation, translation, float(self.scale))
+            moved = _moved(known, np.asarray(pose, np.float64))
+        camera = replace(camera, cam_from_world=jnp.asarray(moved, pose.dtype))
+        scale = jnp.asarray(self.scale, pose.dtype)
+        if camera.motion is not None:
+            twist = jnp.concatenate([camera.motion.twist[:3], scale * camera.motion.twist[3:]])
+            camera = replace(camera, motion=replace(camera.motion, twist=twist))
+        if not camera.lens.CENTRAL:  # focal lengths are pixels for a world unit
+            camera = replace(camera, fx=camera.fx / scale, fy=camera.fy / scale)
+        return camera
+
+
+@jax.default_matmul_precision("highest")
+def _moved(place: Similarity, pose: Any) -> Any:
+    """Returns the pose of a camera in a transformed scene, in the arithmetic of its arrays."""
+    rotation = pose[:3, :3] @ place.rotation.T
+    translation = place.scale * pose[:3, 3] - rotation @ place.translation
+    arrays = jnp if isinstance(rotation, jax.Array) else np
+    top = arrays.concatenate([rotation, translation[:, None]], axis=1)
+    return arrays.concatenate([top, pose[3:]])
 
 
 @jax.default_matmul_precision("highest")

@@ -19,6 +19,7 @@ from splatax.runs.results import NoPages, Results
 from splatax.runs.session import Session
 from splatax.training import checkpoint
 from splatax.training.feed import Batch
+from splatax.training.fingerprints import fingerprint
 from splatax.training.geometry import Surfaces
 from splatax.training.initialize import FromBlock
 from splatax.training.loop import first_state, optimize
@@ -161,9 +162,9 @@ def test_scores_of_a_block_are_of_the_block_in_its_context(tmp_path):
 
 def test_another_context_is_another_capture():
     same, other = capture(), capture(block=Block(OWN, jax.tree.map(lambda leaf: leaf[1:], AROUND)))
-    assert checkpoint.fingerprint(capture()) == checkpoint.fingerprint(same)
-    assert checkpoint.fingerprint(other) != checkpoint.fingerprint(same)
-    assert "block" not in checkpoint.fingerprint(capture(block=None)), "checkpoints of whole captures stay"
+    assert fingerprint(capture()) == fingerprint(same)
+    assert fingerprint(other) != fingerprint(same)
+    assert "block" not in fingerprint(capture(block=None)), "checkpoints of whole captures stay"
 
 
 def test_a_start_without_harmonics_gets_them_and_one_with_too_many_is_refused():

@@ -17,7 +17,7 @@ from splatax.dataset import Dataset, PointCloud, View
 from splatax.gaussians import joined
 from splatax.io.photo_store import PhotoStore, kept_on_disk
 from splatax.runs.results import examples
-from splatax.training.checkpoint import fingerprint
+from splatax.training.fingerprints import fingerprint
 
 
 def ball(x, z=0.0, opacity=0.99):

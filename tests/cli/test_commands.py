@@ -33,7 +33,14 @@ def read_json(path):
 
 def test_train_writes_the_scene_its_measures_and_its_report(trained):
     names = {path.name for path in trained.iterdir()}
-    assert names == {"scene.ply", "metrics.json", "config.json", "report.html", "progress.gif"}
+    assert names == {
+        "scene.ply",
+        "metrics.json",
+        "config.json",
+        "held_out.json",
+        "report.html",
+        "progress.gif",
+    }
     metrics = read_json(trained / "metrics.json")
     assert metrics["steps"] == 6
     assert metrics["gaussians"] == len(sx.load(trained / "scene.ply")) == 30
@@ -74,6 +81,16 @@ def test_options_decide_over_the_recipe_and_nothing_else_does(capture):
     assert sky == replace(plain, initialization=WithSky(plain.initialization))
     classic = Settings(capture, recipe="classic").to_recipe(dataset)
     assert classic == PRESETS["classic"].build().on(plain.drawing.backend)
+
+
+def test_the_preset_says_whether_photos_are_weighed_by_default(capture, monkeypatch):
+    monkeypatch.setattr("splatax.cli.settings.FEWEST_TO_WEIGH", 1)
+    dataset = sx.load_dataset(capture)
+    assert Settings(capture).weighing(dataset) == "robust"
+    assert Settings(capture, photo_weights="equal").weighing(dataset) == "equal"
+    assert Settings(capture, recipe="mcmc").weighing(dataset) == "equal"
+    monkeypatch.setitem(PRESETS, "mcmc", replace(PRESETS["mcmc"], weighs_photos=True))
+    assert Settings(capture, recipe="mcmc").weighing(dataset) == "robust"
 
 
 def test_eval_of_the_run_repeats_its_scores(trained, capture, tmp_path, capsys):

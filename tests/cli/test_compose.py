@@ -10,7 +10,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 import splatax as sx
 from scenes import camera_at, random_gaussians
 from splatax import cli, web
-from splatax.scene import chosen
+from splatax.demo.rigged import drawn_arm
+from splatax.io import formats
+from splatax.io.rigs import load_animated, save_rigged
+from splatax.scene import RiggedScene, chosen
+from splatax.scene.binding import covering
 from splatax.web import composition, page
 
 CAR = """
@@ -54,6 +58,11 @@ KEYS = [
 ]  # three views from the front
 
 
+def page_of(path) -> dict:
+    """What a page is told about its scene."""
+    return json.loads(re.search(r'id="page">(.*?)</script>', path.read_text())[1])
+
+
 @pytest.fixture
 def car(tmp_path, monkeypatch):
     for name, seed in (("body", 0), ("wheel", 1)):
@@ -93,7 +102,9 @@ def test_the_first_options_are_chosen_at_first_and_others_on_request(car):
 
 def test_a_glb_file_keeps_the_parts_of_the_first_options(car, tmp_path, capsys):
     cli.main(["compose", str(car), "--out", str(tmp_path / "car.glb")])
-    assert "3 parts, 120 Gaussians, 4 options of 2 variants" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "3 parts, 120 Gaussians, 4 options of 2 variants" in told
+    assert f"loses: {formats.FORMATS['.glb'].LOSES}" in told
     back, found = sx.load_scene(tmp_path / "car.glb"), web.compose(car).at_first
     camera = camera_at()
     assert_allclose(sx.render(back, camera).rgb, sx.render(found, camera).rgb, atol=1e-3)
@@ -102,8 +113,7 @@ def test_a_glb_file_keeps_the_parts_of_the_first_options(car, tmp_path, capsys):
 def test_a_page_of_a_glb_file_offers_the_variants_in_it(car, tmp_path):
     cli.main(["compose", str(car), "--out", str(tmp_path / "car.glb")])
     cli.main(["compose", str(tmp_path / "car.glb"), "--out", str(tmp_path / "again.html")])
-    text = (tmp_path / "again.html").read_text()
-    told = json.loads(re.search(r'id="page">(.*?)</script>', text)[1])
+    told = page_of(tmp_path / "again.html")
     assert [[option["name"] for option in variant["options"]] for variant in told["variants"]] == [
         ["plain", "red"],
         ["front", "all"],
@@ -113,9 +123,8 @@ def test_a_page_of_a_glb_file_offers_the_variants_in_it(car, tmp_path):
 
 def test_a_page_is_told_everything(car, tmp_path):
     cli.main(["compose", str(car), "--out", str(tmp_path / "new" / "car.html")])
-    text = (tmp_path / "new" / "car.html").read_text()
-    assert "<h1>Car &amp; more</h1>" in text
-    told = json.loads(re.search(r'id="page">(.*?)</script>', text)[1])
+    assert "<h1>Car &amp; more</h1>" in (tmp_path / "new" / "car.html").read_text()
+    told = page_of(tmp_path / "new" / "car.html")
     assert [variant["name"] for variant in told["variants"]] == ["paint", "drive"]
     assert told["variants"][1]["options"][1]["shows"] == [1, 2]
     assert [spot["text"] for spot in told["hotspots"]] == ["Front"]
@@ -182,3 +191,67 @@ def test_other_suffixes_and_existing_files_are_refused(car, tmp_path, capsys):
             cli.main(["compose", str(car), "--out", str(tmp_path / name)])
         assert way_out in capsys.readouterr().err
     assert (tmp_path / "car.glb").read_text() == "mine"
+
+
+HAND = """
+[parts.arm]
+file = "arm.glb"
+clip = "Wave"
+scale = 0.5
+move = [0.2, 0, 0]
+[parts.body]
+file = "body.ply"
+[variants.paint.plain]
+[variants.paint.red]
+dye.body = [0.9, 0.1, 0.1]
+"""
+
+
+@pytest.fixture
+def moving(car):
+    """A composition of an arm that plays a clip, and a body with variants."""
+    body = drawn_arm()
+    save_rigged(car.parent / "arm.glb", RiggedScene(*covering(body, 30), body.clips))
+    path = car.parent / "moving.toml"
+    path.write_text(HAND)
+    return path
+
+
+def test_a_part_plays_a_clip_on_the_page_beside_parts_that_stay(moving, tmp_path):
+    out = tmp_path / "moving.html"
+    cli.main(["compose", str(moving), "--out", str(out)])
+    motion = page_of(out)["motion"]
+    assert (motion["clip"], motion["seconds"]) == ("Wave", 2)
+    assert [(part["part"], part["joints"]) for part in motion["parts"]] == [(0, 3)]
+
+
+def test_a_composition_with_a_clip_keeps_it_in_a_glb_file_which_makes_the_same_page(moving, tmp_path, capsys):
+    cli.main(["compose", str(moving), "--out", str(tmp_path / "moving.glb")])
+    assert "1 parts that move" in " ".join(capsys.readouterr().out.split())
+    again, first = load_animated(tmp_path / "moving.glb"), web.compose(moving)
+    assert again.scene.names == ("arm", "body")
+    motion = first.motions["arm"]
+    rigged = RiggedScene(first.scene["arm"].gaussians, motion.rig, {"Wave": motion.clip})
+    expected = first.scene["arm"].pose.transform(rigged.at("Wave", 0.4))
+    assert_allclose(again.at("Wave", 0.4)["arm"].gaussians.means, expected.means, atol=3e-5)
+    cli.main(["compose", str(tmp_path / "moving.glb"), "--out", str(tmp_path / "again.html")])
+    page = page_of(tmp_path / "again.html")
+    assert page["motion"]["clip"] == "Wave"
+    assert [option["name"] for option in page["variants"][0]["options"]] == ["plain", "red"]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (('clip = "Wave"', 'clip = "Jump"'), "has clip 'Jump', and the clips of arm.glb are Wave"),
+        (
+            ('file = "body.ply"', 'file = "plain.glb"\nclip = "Wave"'),
+            "needs one part with a skin; plain.glb has none",
+        ),
+    ],
+)
+def test_clips_that_are_not_in_the_file_are_refused(moving, change, message):
+    sx.save_scene(moving.parent / "plain.glb", sx.Scene({"a": sx.Part(random_gaussians(n=5, degree=0))}))
+    moving.write_text(HAND.replace(*change))
+    with pytest.raises(sx.FormatError, match=message):
+        web.compose(moving)

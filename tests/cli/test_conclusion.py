@@ -13,7 +13,7 @@ from splatax.runs import results, session
 from splatax.web import page
 
 STEPS = 6
-FILES = {"scene.ply", "metrics.json", "config.json", "report.html", "progress.gif"}
+FILES = {"scene.ply", "metrics.json", "config.json", "held_out.json", "report.html", "progress.gif"}
 
 
 class PowerCut(Exception):
@@ -31,7 +31,7 @@ def no_training(*_):
 def same_results(run, whole):
     """Checks that a run ended as another that was never stopped."""
     assert {path.name for path in run.iterdir()} == FILES
-    for name in ("scene.ply", "progress.gif"):
+    for name in ("scene.ply", "progress.gif", "held_out.json"):
         assert (run / name).read_bytes() == (whole / name).read_bytes()
     ours, theirs = (json.loads((folder / "metrics.json").read_text()) for folder in (run, whole))
     for key in ("test", "steps", "gaussians", "final_loss", "interrupted", "bad_steps", "broken_gaussians"):

@@ -1,6 +1,9 @@
 """`splatax create`, from photos or a capture to a page."""
 
 import json
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import get_type_hints
 
 import pytest
 from test_refusals import refused
@@ -9,6 +12,9 @@ import splatax as sx
 from captures import write_capture, write_transforms
 from splatax import cli
 from splatax.cli import create
+from splatax.cli.options import flag
+from splatax.cli.train import Train
+from splatax.cli.train_options import Rerun
 from splatax.web import page
 
 
@@ -42,7 +48,10 @@ def test_all_photos_are_trained_on_and_the_score_is_of_photos_that_a_trial_had_n
     assert headline in report
     assert report.index(headline) < report.index("PSNR of 9 photos that it was trained on")
     assert "The scene was trained on all 9 photos." in report
-    assert "best of the photos that it was trained on: photo" in report
+    opening = report[: report.index("<h2>Numbers</h2>")]
+    assert 'alt="photo photo04.png"' in opening
+    assert "the scene of the trial run from there" in opening
+    assert opening.count("<figcaption>") == 2  # of the one photo that the trial held out
     assert "<h1>out</h1>" in report
     assert "<h1>out</h1>" in (out / "scene.html").read_text()
 
@@ -156,7 +165,78 @@ def test_what_was_made_of_other_photos_or_for_another_time_is_replaced_only_when
     assert stages == ["reconstruct", "trial", "train", "page"]
 
 
-def test_any_option_of_train_can_be_given(stages, photos, tmp_path, monkeypatch):
+def groups(command):
+    """The groups of options of a command, by the name that they have in it."""
+    return {name: kind for name, kind in get_type_hints(command).items() if is_dataclass(kind)}
+
+
+def test_create_has_every_group_of_options_of_train_but_that_of_earlier_runs():
+    missing = set(groups(Train).values()) - set(groups(create.Create).values())
+    assert missing == {Rerun}  # the same command, typed again, resumes
+
+
+EXAMPLES = {  # of options of `train`; a new option needs one
+    "hold_out": "last",
+    "leave_out": "none",
+    "undistort": True,
+    "points": Path("points.ply"),
+    "judged_by": Path("earlier"),
+    "budget": "60s",
+    "within": "100s",
+    "memory": "4GB",
+    "steps": 60,
+    "max_gaussians": 500,
+    "downscale": 2,
+    "views": 2,
+    "hosts": "auto",
+    "recipe": "mcmc",
+    "init": "random",
+    "sky": True,
+    "background": "white",
+    "low_pass": "antialiasing",
+    "appearance": "exposure",
+    "refine": "poses",
+    "adjust_cameras": "poses",
+    "geometry": True,
+    "photo_weights": "equal",
+    "backend": "xla",
+    "seed": 3,
+    "eval_every": 5,
+    "checkpoint_every": 7.0,
+    "checkpoint_steps": 9,
+    "view": True,
+    "host": "0.0.0.0",
+    "port": 9000,
+}
+NEEDED = {"views": ("--steps", "60")}
+REFUSED = {"hosts": "run in one process"}
+
+
+@pytest.mark.parametrize(
+    ("group", "name"),
+    [
+        (group, field.name)
+        for group, kind in groups(Train).items()
+        if kind is not Rerun
+        for field in fields(kind)
+    ],
+)
+def test_each_option_of_train_can_be_given(stages, photos, tmp_path, capsys, group, name):
+    value = EXAMPLES[name]
+    typed = [flag(name)] if value is True else [flag(name), str(value)]
+    command = ["create", str(photos), "--out", str(tmp_path / "out"), *typed, *NEEDED.get(name, ())]
+    if name in REFUSED:
+        assert REFUSED[name] in refused(capsys, *command)
+        return
+    cli.main(command)
+    taken = getattr(getattr(stages.runs[-1], group), name)
+    if name in ("budget", "within"):
+        assert taken.endswith("s")  # a part of it: the trial run and the page take the rest
+    else:
+        assert taken == value
+
+
+def test_options_of_both_stages_reach_both(stages, photos, tmp_path, monkeypatch):
     seen = []
     monkeypatch.setattr(
         create.Reconstruct, "run", lambda self: seen.append(self) or (self.out / "sparse").mkdir(parents=True)
@@ -183,6 +263,13 @@ def test_the_time_of_training_is_shared_between_the_trial_and_the_scene(stages, 
     seconds = [float(run.limits.within.rstrip("s")) for run in stages.runs]
     assert 5 <= seconds[0] <= 10
     assert 5 * seconds[0] < seconds[1] <= 60
+
+
+def test_a_run_named_as_judge_makes_a_trial_unnecessary(stages, photos, tmp_path):
+    cli.main(["create", str(photos), "--out", str(tmp_path / "out"), "--judged-by", "earlier"])
+    assert stages == ["reconstruct", "train", "page"]
+    (run,) = stages.runs
+    assert (run.photos.hold_out, run.photos.judged_by, run.limits.budget) == ("none", Path("earlier"), "600s")
 
 
 def test_held_out_photos_of_ones_own_choice_make_a_trial_unnecessary(stages, photos, tmp_path):

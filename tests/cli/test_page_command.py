@@ -54,8 +54,8 @@ def test_export_makes_the_same_page(trained, capture, tmp_path, capsys, options)
         cli.main(
             [command, str(trained), str(tmp_path / f"{command}.html"), "--scene", str(capture), *options]
         )
+        assert "loses: As .spz" in capsys.readouterr().out
     assert (tmp_path / "export.html").read_bytes() == (tmp_path / "page.html").read_bytes()
-    assert "loses: As .spz" in capsys.readouterr().out
 
 
 def test_cameras_of_a_page_go_where_export_moves_the_scene(trained, capture, tmp_path):

@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+import splatax as sx
 from splatax import cli
 
 
@@ -14,9 +15,20 @@ def run(capture, tmp_path):
     return tmp_path / "run"
 
 
-def test_a_repeated_run_has_the_same_bytes(run, tmp_path):
+def test_a_repeated_run_has_the_same_bytes(run, tmp_path, capsys):
     cli.main(["train", "--repeat", str(run), "--out", str(tmp_path / "again")])
+    assert "warning" not in capsys.readouterr().err
     assert (tmp_path / "again" / "scene.ply").read_bytes() == (run / "scene.ply").read_bytes()
+
+
+def test_a_run_of_another_version_is_repeated_with_a_warning(run, tmp_path, capsys):
+    config = json.loads((run / "config.json").read_text())
+    assert config["versions"]["splatax"] == sx.__version__
+    config["versions"] |= {"splatax": "0.1.0", "python": "3.9"}
+    (run / "config.json").write_text(json.dumps(config))
+    cli.main(["train", "--repeat", str(run), "--out", str(tmp_path / "again")])
+    told = f"warning: the scene will not have the same bytes: splatax was 0.1.0, is {sx.__version__}\n"
+    assert capsys.readouterr().err == f"splatax: {told}"
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from captures import write_capture
 from shortened import shortened
 from splatax import cli
 from splatax.runs import resume, session
-from splatax.runs.machine import versions
+from splatax.runs.machine import DECISIVE, versions
 from splatax.training.recipes import PRESETS, ShSchedule
 
 STEPS = 24
@@ -144,7 +144,7 @@ def test_a_run_that_was_stopped_again_and_again_ends_with_the_same_bytes(
             go_on(tmp_path / "run")
     monkeypatch.setattr(session, "optimize", sx.training.loop.optimize)
     go_on(tmp_path / "run")
-    for name in ("scene.ply", "progress.gif"):
+    for name in ("scene.ply", "progress.gif", "held_out.json"):
         assert (tmp_path / "run" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
     whole, run = (json.loads((tmp_path / f / "metrics.json").read_text()) for f in ("whole", "run"))
     for key in ("test", "steps", "gaussians", "final_loss", "interrupted"):
@@ -282,7 +282,7 @@ def test_a_run_goes_on_after_its_folder_and_its_capture_moved(
 
 
 def test_another_version_is_refused(stopped, monkeypatch, capsys):
-    monkeypatch.setattr(resume, "versions", lambda: dict.fromkeys(resume.DECISIVE, "0.0"))
+    monkeypatch.setattr(resume, "versions", lambda: dict.fromkeys(DECISIVE, "0.0"))
     error = refused(capsys, go_on, stopped)
     ours = versions()["splatax"]
     assert f"the versions of the run changed: splatax was {ours}, is 0.0" in error

@@ -10,7 +10,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import splatax as sx
-from scenes import camera_at, random_gaussians
+from scenes import camera_at, plane_of_gaussians, random_gaussians
+from splatax.cameras.geometry import rays
 from splatax.stages import composite, project, select
 
 FIELDS = ("means2d", "sqrt_conics", "opacities", "slants", "pull")
@@ -100,3 +101,19 @@ def test_forward_mode_agrees_with_reverse_mode(fast):
     _, forward = jax.jvp(loss, (splats,), (direction,))
     pairs = zip(jax.tree.leaves(jax.grad(loss)(splats)), jax.tree.leaves(direction), strict=True)
     assert_allclose(forward, sum(jnp.vdot(a, b) for a, b in pairs), rtol=2e-3)
+
+
+def test_a_plane_of_discs_has_its_exact_depth_and_normal(backend):
+    normal = np.array([0.3, -0.5, -1.0]) / np.linalg.norm([0.3, -0.5, -1.0])
+    camera = camera_at((0.4, -0.3, -4.0), size=(32, 24), focal=40.0)
+    discs = plane_of_gaussians(normal, n=900, flat=1e-12)
+    outputs = ("surface_depth", "median_surface_depth", "normals", "alpha")
+    drawn = sx.render(discs, camera, low_pass=sx.AlongRays(), outputs=outputs, backend=backend)
+    origin, directions = np.asarray(camera.position, np.float64), np.asarray(rays(camera), np.float64)
+    points = origin - directions * ((normal @ origin) / (directions @ normal))[..., None]
+    expected = points @ np.asarray(camera.rotation[2], np.float64) + float(camera.translation[2])
+    covered = np.asarray(drawn.alpha) > 0.5
+    assert covered.sum() > 200
+    assert_allclose(drawn.surface_depth[covered], expected[covered], rtol=1e-5)
+    assert_allclose(drawn.median_surface_depth[covered], expected[covered], rtol=1e-5)
+    assert_allclose(drawn.normals[covered], np.broadcast_to(normal, (covered.sum(), 3)), atol=1e-6)

@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 import pycolmap
 import pytest
@@ -11,6 +12,8 @@ from scipy import ndimage
 
 import splatax as sx
 from captures import SIZE, model_of, pinhole, write_capture, write_transforms
+from scenes import camera_at
+from splatax.cameras import look_at, rig
 from splatax.inspection import examine, problems_of, seconds_to_train
 from splatax.inspection.looks import looks_of, robust_scores, spread
 from splatax.io.images import read
@@ -174,11 +177,21 @@ def test_the_page_needs_nothing_else_and_escapes_names(capture):
 
 
 def test_up_in_the_picture_is_where_photos_have_their_top():
-    axes = np.array([[[1, 0, 0], [0, -1, 0], [0, 0, -1]]] * 3, float)  # right, down, forward
-    right, away, up = upright_frame(axes)
-    np.testing.assert_allclose(up, [0, 1, 0])
-    np.testing.assert_allclose(away, [0, 0, -1])
-    np.testing.assert_allclose(right, [1, 0, 0])
+    away_from = look_at(*(jnp.array(v) for v in ((0.0, 0.0, 4.0), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0))))
+    right, away, up = upright_frame([replace(camera_at(), cam_from_world=away_from)] * 3)
+    np.testing.assert_allclose(up, [0, 1, 0], atol=1e-6)
+    np.testing.assert_allclose(away, [0, 0, -1], atol=1e-6)
+    np.testing.assert_allclose(right, [1, 0, 0], atol=1e-6)
+
+
+def test_up_in_the_picture_is_that_of_trajectories_and_pages_where_cameras_are_tilted():
+    # A quarter circle of level cameras that look down: the mean of their tops leans to one side.
+    cameras = [camera_at((4 * np.sin(a), -5.0, 4 * np.cos(a))) for a in np.linspace(0, np.pi / 2, 7)]
+    assert rig.tops_of(cameras).mean(axis=0) @ [0, -1, 0] < 0.8
+    *ground, up = upright_frame(cameras)
+    np.testing.assert_array_equal(up, rig.up_of(cameras))
+    np.testing.assert_allclose(up, [0, -1, 0], atol=0.05)
+    np.testing.assert_allclose(np.array(ground) @ up, 0, atol=1e-12)
 
 
 def test_time_is_forecast_for_all_steps_of_the_default_recipe(capture, monkeypatch):

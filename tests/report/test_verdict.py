@@ -31,27 +31,27 @@ def judged(dataset, psnrs, gain=0.2, images=None):
         Comparison(ViewScore(view.name, psnr, 0.9, psnr + gain), NOISE, (images or {}).get(view.name, NOISE))
         for view, psnr in zip(dataset.test, psnrs, strict=True)
     ]
-    return verdict_of(dataset, gallery_of(comparisons))
+    return verdict_of(dataset, gallery_of(comparisons).judged, unseen=True)
 
 
 def test_a_good_scene_is_called_good_and_nothing_is_bad(dataset):
     verdict = judged(dataset, [33.0, 34.0, 35.0])
     assert verdict.headline == (
-        "From the viewpoints of held-out photos, the scene is nearly the same as the photo."
+        "From the viewpoints of photos that it was not trained on, the scene is nearly the same as the photo."
     )
-    assert verdict.good[0] == "3 of 3 photos held out from training are matched well; best: view16.png."
+    assert verdict.good[0] == "3 of 3 photos that it was not trained on are matched well; best: view16.png."
     assert not verdict.bad
 
 
 def test_a_scene_that_is_evenly_poor_is_not_called_faultless(dataset):
     verdict = judged(dataset, [24.0, 24.5, 25.0])
-    assert [each.what for each in verdict.bad] == ["All views lack fine detail."]
+    assert [each.what for each in verdict.bad] == ["No photo is matched well."]
 
 
 def test_photos_that_counted_little_are_named(dataset):
     comparisons = [Comparison(ViewScore(view.name, 33.0, 0.9, 33.0), NOISE, NOISE) for view in dataset.test]
     doubted = {"view03.png": 0.5, "view11.png": 0.02}
-    (complaint,) = verdict_of(dataset, gallery_of(comparisons), doubted=doubted).bad
+    (complaint,) = verdict_of(dataset, gallery_of(comparisons).judged, True, doubted).bad
     assert complaint.what == "view11.png, view03.png do not fit the other photos."
     assert "the weight was lowered: to 0.02" in complaint.why
 
@@ -74,7 +74,7 @@ def test_the_faces_of_a_panorama_are_judged_as_one_photo(dataset):
     )
     in_faces = replace(dataset, test=whole)
     gallery.join_faces(in_faces.views)
-    verdict = verdict_of(in_faces, gallery)
+    verdict = verdict_of(in_faces, gallery.judged, unseen=True)
     assert [score.name for score in gallery.scores] == ["a", "view16.png"]
     assert verdict.matched == {"a": False, "view16.png": True}
     assert verdict.bad[0].what == "a is clearly different from the photo."

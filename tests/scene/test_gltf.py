@@ -15,15 +15,16 @@ import splatax as sx
 from scene.skeletons import arm, bent, blended
 from scenes import random_gaussians
 from splatax.demo.rigged import drawn_arm, moves_of
-from splatax.io.rigs import load_rigged, read_body, save_rigged
+from splatax.io.rigs import load_animated, load_rigged, read_body, save_animated, save_rigged
 from splatax.io.rigs.following import check_following
 from splatax.io.rigs.nodes import _moving_nodes
 from splatax.io.rigs.poses import Posing, read_poses, write_poses
 from splatax.io.rigs.writing import joints_attributes, save_body
+from splatax.io.scenes import load_variants
 from splatax.scene.binding import bind, covering
 from splatax.scene.clips import Channel, Clip
 from splatax.scene.colors import ColorMap
-from splatax.scene.rigged import RiggedScene
+from splatax.scene.rigged import AnimatedScene, RiggedScene
 from splatax.transforms import Similarity
 
 TURN = np.diag([-1.0, -1.0, 1.0, 1.0])  # glTF's world to ours
@@ -153,6 +154,72 @@ def test_parts_beside_a_skinned_one_come_back_and_leave_its_skeleton_alone(tmp_p
     other = replace(table, low_pass=sx.Antialiasing(0.3))
     with pytest.raises(sx.FormatError, match="different ones"):
         save_rigged(tmp_path / "b.glb", scene, beside=sx.Scene({"table": sx.Part(other)}))
+
+
+def moving_arms() -> AnimatedScene:
+    """Two parts that follow one skeleton, of one pose, and a wheel that shares the Gaussians of neither."""
+    body, place = drawn_arm(), Similarity.of(degrees=(10.0, 80.0, -30.0), scale=1.4, move=(0.3, -0.2, 1.0))
+    skin, rig = covering(body, 60, sh_degree=1)
+    sleeve, other = covering(body, 40, sh_degree=1, seed=1)
+    parts = {
+        "wheel": sx.Part(random_gaussians(1, n=9, degree=1), Similarity.of(move=(1.0, 0.0, 0.0))),
+        "arm": sx.Part(skin, place, color=ColorMap.tint((1.0, 0.5, 0.2))),
+        "sleeve": sx.Part(sleeve, place, visible=False),
+    }
+    return AnimatedScene(
+        sx.Scene(parts), {"arm": rig, "sleeve": replace(other, skeleton=rig.skeleton)}, body.clips
+    )
+
+
+def test_parts_skins_and_clips_come_back_together_from_one_reader(tmp_path):
+    animated, path = moving_arms(), tmp_path / "a.glb"
+    blue = sx.scene.Option(colors={"arm": ColorMap.dye((0.0, 0.0, 1.0))})
+    variants = {"paint": {"plain": sx.scene.Option(), "blue": blue}}
+    save_animated(path, animated, variants=variants)
+    again = load_animated(path)
+    assert again.scene.names == ("wheel", "arm", "sleeve")
+    assert again.rigs.keys() == {"arm", "sleeve"}
+    assert again.clips.keys() == {"Wave"}
+    assert [bool(part.visible) for part in again.scene.parts.values()] == [True, True, False]
+    for at in (0.0, 0.3, 1.1):
+        expected, found = animated.at("Wave", at), again.at("Wave", at)
+        for name in expected.names:  # the pose of skinned parts is in their Gaussians and the skeleton now
+            a, b = expected[name].in_world(), found[name].in_world()
+            np.testing.assert_allclose(b.means, a.means, atol=3e-5)
+            np.testing.assert_allclose(b.covariances, a.covariances, atol=2e-5)
+            np.testing.assert_allclose(b.sh, a.sh, atol=2e-5)
+    _, listed = load_variants(path)
+    assert listed["paint"].keys() == {"plain", "blue"}
+    assert list(listed["paint"]["blue"].colors) == ["arm"]
+
+
+def test_a_file_without_skins_is_parts_that_stay(tmp_path):
+    sx.save_scene(tmp_path / "a.glb", sx.Scene({"wheel": sx.Part(random_gaussians(n=5))}))
+    still = load_animated(tmp_path / "a.glb")
+    assert still.scene.names == ("wheel",)
+    assert (still.rigs, still.clips) == ({}, {})
+    with pytest.raises(ValueError, match="no part follows a skeleton: wheel stay"):
+        still.posed(arm().rest)
+
+
+def test_skins_that_do_not_fit_together_are_refused(tmp_path):
+    animated = moving_arms()
+    apart = animated.scene.posed({"sleeve": Similarity.of()})
+    with pytest.raises(sx.FormatError, match=r"different poses\. Give arm, sleeve one pose"):
+        save_animated(tmp_path / "a.glb", replace(animated, scene=apart))
+    with pytest.raises(sx.FormatError, match="no part follows a skeleton"):
+        save_animated(tmp_path / "a.glb", replace(animated, rigs={}))
+    with pytest.raises(ValueError, match="part 'wheel' has 9 Gaussians, and its rig 60"):
+        replace(animated, rigs={"wheel": animated.rigs["arm"]})
+    _, other = blended(n=9)
+    other = replace(
+        other, skeleton=replace(other.skeleton, names=("root", "knee", "foot")[: len(other.skeleton)])
+    )
+    with pytest.raises(ValueError, match="part 'wheel' follows another skeleton than 'arm'"):
+        replace(animated, rigs={"arm": animated.rigs["arm"], "wheel": other})
+    save_animated(tmp_path / "two.glb", animated)
+    with pytest.raises(sx.FormatError, match="2 meshes of splats with a skin, where one is needed"):
+        load_rigged(tmp_path / "two.glb")
 
 
 def test_a_rigged_file_is_also_a_splat_file_in_the_bound_pose(rigged_file):

@@ -1,4 +1,4 @@
-"""Trains a tiny capture on some of eight host devices and prints a digest; `test_devices.py` calls it.
+"""Trains a small capture on some of eight host devices and prints a digest; `test_devices.py` calls it.
 
 It is a program of its own, because the number of devices is fixed when JAX starts.
 """
@@ -47,15 +47,16 @@ from splatax.training.schedule import Schedule  # noqa: E402
 from splatax.training.steppers import stepper_for  # noqa: E402
 from splatax.training.views import step_on_views  # noqa: E402
 
-STEPS, VIEWS, ROWS = 8, 8, 16_384
+STEPS, VIEWS, ROWS = 8, 8, 16_384  # rows to count bytes for
+POINTS, MOST = 7_680, 9_600  # each of eight devices owns living rows, and in the end one of them two blocks
 
 
 def recipe() -> sx.Recipe:
     """A short run of eight views a step, with refinements."""
-    made = sx.recipes.default(STEPS, max_gaussians=1200)
+    made = sx.recipes.default(STEPS, max_gaussians=MOST)
     made = replace(made, density=replace(made.density, every=2, start=1, until=7, growth=ByStep(full=6)))
     if options.recipe == "classic":
-        density = Classic(every=2, start=1, until=7, pull_threshold=1e-6, max_gaussians=4000)
+        density = Classic(every=2, start=1, until=7, pull_threshold=1e-6, max_gaussians=MOST)
         made = sx.Recipe(steps=STEPS, density=density)
     if options.per_photo:
         weighed = replace(made.objective, weights=RobustWeights(since=0.25, least=1.02, spreads=0.1))
@@ -65,19 +66,36 @@ def recipe() -> sx.Recipe:
     return with_views(replace(made.on("cpu"), sh=ShSchedule(1, 2)), VIEWS)
 
 
+def seen() -> sx.Dataset:
+    """A capture with many points, whose photos note in `reads` that they are decoded."""
+    dataset = capture(views=12)
+    few, rng = dataset.points, np.random.default_rng(1)
+    each = POINTS // len(few)
+    near = rng.normal(scale=0.1, size=(POINTS, 3)).astype(np.float32)
+    points = sx.PointCloud(np.repeat(few.positions, each, 0) + near, np.repeat(few.colors, each, 0))
+
+    def noted(view: sx.View) -> sx.View:
+        def pixels():
+            reads.append(view.name)
+            return view.pixels()
+
+        return replace(view, pixels=pixels)
+
+    return replace(dataset, points=points, train=tuple(map(noted, dataset.train)))
+
+
 def digest(state) -> str:
+    """A digest of everything that a checkpoint of the run would hold."""
     found = hashlib.sha256()
-    for leaf in jax.tree.leaves(
-        (
-            state.train.gaussians,
-            state.train.opt_state,
-            state.train.density_state,
-            state.train.appearance,
-            state.train.cameras,
-        )
-    ):
-        found.update(np.asarray(leaf).tobytes())
+    for name, array in sorted(checkpoint.take(state, {}, {}).arrays.items()):
+        found.update(name.encode() + array.tobytes())
     return found.hexdigest()[:16]
+
+
+def owners(progress) -> int:
+    """Number of devices of this process that own living Gaussians."""
+    shards = progress._state.gaussians.opacity_logits.addressable_shards
+    return sum(bool(np.any(np.asarray(shard.data) > -np.inf)) for shard in shards)
 
 
 def exchanged(number: int) -> int:
@@ -97,16 +115,21 @@ def exchanged(number: int) -> int:
     return sum(4 * math.prod(int(n) for n in shape.split(",") if n) for shape in shapes)
 
 
-dataset, start = capture(views=12), None
+reads: list[str] = []
+dataset, start = seen(), None
 if options.bytes:
     for number in options.devices:
         print("run", number, exchanged(number))
     raise SystemExit
 for number in options.devices:
     here = jax.devices()[:number]
-    for progress in sx.optimize(dataset, recipe(), start, devices=here):
+    first, fewest = 0, number
+    for progress in sx.optimize(dataset, recipe(), start, photo_room=0, devices=here):
+        first, fewest = first or progress.count, min(fewest, owners(progress))
         if options.resume and start is None and progress.step == STEPS // 2:
             start = checkpoint.restore(checkpoint.take(progress.state, {}, {}), recipe())
             break
     else:
-        print("run", number, progress.count, digest(progress.state), float(progress.loss), flush=True)
+        same = digest(progress.state), float(progress.loss)
+        print("run", number, first, progress.count, fewest, *same, flush=True)
+print("read", *reads, flush=True)

@@ -11,14 +11,17 @@ from numpy.testing import assert_allclose
 
 import splatax as sx
 from scenes import random_gaussians
+from splatax.cameras import RollingShutter
 from splatax.cameras.lenses import Pinhole, opencv
 from splatax.math import rigid
 from splatax.training.camera_refinement import (
+    CAMERA_REFINEMENTS,
     MANY,
     Distortion,
     Focal,
     Placed,
     Poses,
+    Shutter,
     Together,
     rate_for,
     refined,
@@ -202,6 +205,60 @@ def test_distortion_that_a_capture_lacks_is_found():
         assert np.linalg.norm(wrong[0].camera.to_pixel(place) - expected) > 0.3 or share < 1
         for view in found:
             assert_allclose(view.camera.to_pixel(place), expected, atol=0.1)
+
+
+def photographed(view, camera):
+    """The view of another camera of the known scene, with its photo."""
+    photo = np.asarray(jnp.round(255 * jnp.clip(sx.render(TRUTH, camera, backend="xla").rgb, 0, 1)))
+    return replace(view, camera=camera, pixels=lambda: photo.astype(np.uint8))
+
+
+def places_during(view):
+    """Pixels of the Gaussians for the first and the last row of the exposure."""
+    ends = [view.camera.at(jnp.float32(time)) for time in (-0.5, 0.5)]
+    return np.stack([[end.to_pixel(end.to_camera(mean)) for mean in TRUTH.means[:20]] for end in ends])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "refinement"),
+    [
+        ("shutter", Shutter(reach=0.3)),
+        ("poses+shutter", Together((Shutter(reach=0.3), Poses(reach=0.01)))),
+    ],
+)
+def test_a_motion_during_the_exposure_that_a_capture_lacks_is_found(name, refinement):
+    """Photos of cameras that move while their rows are exposed, given as if the cameras stood still."""
+    assert jax.tree.structure(refinement.init(5)) == jax.tree.structure(CAMERA_REFINEMENTS[name].init(5))
+    rng, views = np.random.default_rng(0), []
+    for view in capture().train:
+        twist = jnp.asarray(rng.normal(size=6) * np.repeat([0.04, 0.1], 3), jnp.float32)
+        views.append(photographed(view, replace(view.camera, motion=RollingShutter(twist))))
+    still = tuple(replace(view, camera=replace(view.camera, motion=None)) for view in views)
+    _, found = learn(still, replace(KNOWN, steps=400, camera_refinement=refinement), TRUTH)
+    off = []
+    for ours, given, truth in zip(found, still, views, strict=True):
+        assert isinstance(ours.camera.motion, RollingShutter)
+        expected = places_during(truth)
+        before, after = (np.linalg.norm(places_during(v) - expected, axis=2).max() for v in (given, ours))
+        assert before > 0.5  # pixels
+        assert after < 0.2 * before
+        # A turn and a move look alike to a camera that is four units away: what they have in common is exact
+        # above, and their difference is learned slowly. A motion that is ignored is off by 1.
+        twist, expected = (
+            np.repeat([1.0, 1 / 4], 3) * np.asarray(v.camera.motion.twist) for v in (ours, truth)
+        )
+        off.append(np.linalg.norm(twist - expected) / np.linalg.norm(expected))
+    assert max(off) < 0.65
+
+
+def test_a_motion_is_learned_on_top_of_the_given_one():
+    """The translation is in extents of the scene; the exposure keeps its direction."""
+    given = RollingShutter(jnp.array([0.01, 0, 0, 0, 0.2, 0]), "left")
+    camera = replace(capture().train[0].camera, motion=given)
+    moved = Shutter()(jnp.array([0, 0.02, 0, 0.1, 0, 0]), camera, jnp.float32(3.0)).motion
+    assert_allclose(moved.twist, [0.01, 0.02, 0, 0.3, 0.2, 0], rtol=1e-6)
+    assert moved.direction == "left"
 
 
 def view_corner(camera):

@@ -16,6 +16,7 @@ from splatax.training import checkpoint
 from splatax.training.camera_refinement import CAMERA_REFINEMENTS, MANY
 from splatax.training.density import NoDensityControl
 from splatax.training.feed import order
+from splatax.training.fingerprints import fingerprint
 from splatax.training.loop import RunState, first_state, optimize
 from splatax.training.recipes import PRESETS
 from training.test_training import capture
@@ -198,7 +199,7 @@ def test_the_order_of_photos_depends_on_seed_and_epoch_alone():
 
 def test_the_fingerprint_sees_what_changed(dataset):
     def changes(other):
-        before, after = checkpoint.fingerprint(dataset), checkpoint.fingerprint(other)
+        before, after = fingerprint(dataset), fingerprint(other)
         return {name for name in before if before[name] != after[name]}
 
     view, *rest = dataset.train

@@ -4,9 +4,13 @@ import re
 import socket
 import subprocess
 import sys
+import threading
+from collections import Counter
 from dataclasses import replace
 from functools import cache, partial
+from itertools import chain, count, islice
 from pathlib import Path
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,9 +25,9 @@ from emitters import as_users_compile
 from splatax import backends
 from splatax.runs.scaling import bytes_exchanged
 from splatax.training.density import NoDensityControl
-from splatax.training.devices import devices_for
-from splatax.training.feed import FIRST, batch
-from splatax.training.groups import grouped
+from splatax.training.devices import BLOCK, Dealt, devices_for
+from splatax.training.feed import FIRST, READERS, batch
+from splatax.training.groups import grouped, steps_of
 from splatax.training.loop import first_state
 from splatax.training.optimizer import LearningRates, Optimizer
 from splatax.training.recipes import ShSchedule, with_views
@@ -36,70 +40,54 @@ needs_cpu = pytest.mark.skipif(
 )
 
 
+class Trained(NamedTuple):
+    """What a run prints."""
+
+    first: int
+    last: int
+    owners: int  # of living Gaussians, the fewest at any step
+    digest: str  # of all arrays that a checkpoint holds
+    loss: str
+
+    @property
+    def same(self):
+        return self.last, self.digest, self.loss
+
+    @property
+    def has_grown(self):
+        return self.last > self.first > 7 * BLOCK
+
+
 def program(*arguments):
     return [sys.executable, str(HERE / "on_devices.py"), *arguments]
 
 
 def results(output):
-    """Number of Gaussians, digest and loss by number of devices; the collectives print between."""
-    return {int(devices): rest.split() for devices, rest in re.findall(r"run (\d+) (.*)", output)}
+    """Results by number of devices; the collectives print between."""
+    lines = re.findall(r"run (\d+) (\d+) (\d+) (\d+) (\w+) (\S+)", output)
+    return {int(devices): Trained(*map(int, found[:3]), *found[3:]) for devices, *found in lines}
 
 
 @cache
+def printed(*arguments):
+    return subprocess.run(
+        program(*arguments), check=True, capture_output=True, text=True, env=ENVIRONMENT
+    ).stdout
+
+
 def trained(*arguments):
-    found = subprocess.run(
-        program(*arguments),
-        check=True,
-        capture_output=True,
-        text=True,
-        env=ENVIRONMENT,
-    )
-    return results(found.stdout)
+    return results(printed(*arguments))
 
 
-ON_EACH = ("default", "--devices", "1", "2", "8")
-
-
-@needs_cpu
-def test_scene_and_moments_are_the_same_bits_on_1_2_and_8_devices():
-    found = trained(*ON_EACH)
-    assert len(found) == 3
-    assert found[1] == found[2] == found[8]
-    assert int(found[1][0]) > 80, "the scene must have grown, so that refinement is part of the comparison"
-
-
-@needs_cpu
-@pytest.mark.slow
-def test_all_parts_of_a_recipe_together_have_the_same_bits_on_1_and_8_devices():
-    """Penalties on surfaces, exposures, poses and weights of photos in one run."""
-    found = trained("classic", "--per-photo", "--geometry", "--devices", "1", "8")
-    assert found[1] == found[8]
-    assert int(found[1][0]) > 80
-
-
-@pytest.mark.slow
-@needs_cpu
-def test_a_run_resumes_on_another_number_of_devices_with_the_same_bits():
-    resumed = trained("default", "--resume", "--devices", "2", "8")
-    assert trained(*ON_EACH)[8] == resumed[8]
-
-
-@needs_cpu
-def test_a_step_exchanges_as_many_bytes_as_the_model_of_many_devices_counts():
-    counted = int(trained("default", "--bytes", "--devices", "8")[8][0])
-    modelled = bytes_exchanged(16_384)
-    assert modelled <= counted < modelled + 1024, "beside splats and cotangents, a few numbers travel"
-
-
-@needs_cpu
-@pytest.mark.slow
-def test_two_processes_of_four_devices_train_the_same_bits_as_one_of_eight():
+@cache
+def trained_by_two(*arguments):
+    """What each of two processes with four devices prints."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = str(free.getsockname()[1])
     both = [
         subprocess.Popen(
-            program("default", "--host", port, "2", index),
+            program(*arguments, "--host", port, "2", index),
             stdout=subprocess.PIPE,
             text=True,
             env=ENVIRONMENT,
@@ -108,7 +96,77 @@ def test_two_processes_of_four_devices_train_the_same_bits_as_one_of_eight():
     ]
     outputs = [process.communicate()[0] for process in both]
     assert [process.returncode for process in both] == [0, 0]
-    assert results(outputs[0]) == results(outputs[1]) == {8: trained(*ON_EACH)[8]}
+    return outputs
+
+
+ON_EACH = ("default", "--devices", "1", "2", "4", "8")
+PER_PHOTO = ("classic", "--per-photo")
+
+
+@needs_cpu
+@pytest.mark.slow
+@pytest.mark.parametrize("arguments", [ON_EACH, (*PER_PHOTO, *ON_EACH[1:])])
+def test_a_scene_that_all_devices_own_a_part_of_is_the_same_bits_on_1_2_4_and_8(arguments):
+    found = trained(*arguments)
+    assert {number: run.owners for number, run in found.items()} == {1: 1, 2: 2, 4: 4, 8: 8}
+    assert found[8].has_grown, "density control must be part of the comparison"
+    assert len({run.same for run in found.values()}) == 1
+
+
+@needs_cpu
+def test_scene_and_moments_are_the_same_bits_on_1_and_8_devices():
+    found = trained("default", "--devices", "1", "8")
+    assert (found[1].owners, found[8].owners) == (1, 8)
+    assert found[8].has_grown
+    assert found[1].same == found[8].same
+
+
+@needs_cpu
+@pytest.mark.slow
+def test_all_parts_of_a_recipe_together_have_the_same_bits_on_1_and_8_devices():
+    """Penalties on surfaces, exposures, poses and weights of photos in one run."""
+    found = trained("classic", "--per-photo", "--geometry", "--devices", "1", "8")
+    assert found[8].owners == 8
+    assert found[8].has_grown
+    assert found[1].same == found[8].same
+
+
+@pytest.mark.slow
+@needs_cpu
+def test_a_run_resumes_on_another_number_of_devices_with_the_same_bits():
+    resumed = trained("default", "--resume", "--devices", "2", "8")
+    assert trained(*ON_EACH)[8].same == resumed[8].same
+
+
+@needs_cpu
+def test_a_step_exchanges_as_many_bytes_as_the_model_of_many_devices_counts():
+    counted = int(re.search(r"run 8 (\d+)", printed("default", "--bytes", "--devices", "8"))[1])
+    modelled = bytes_exchanged(16_384)
+    assert modelled <= counted < modelled + 1024, "beside splats and cotangents, a few numbers travel"
+
+
+@needs_cpu
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [("default",), PER_PHOTO])
+def test_two_processes_of_four_devices_train_the_same_bits_as_one_of_eight(options):
+    ours, theirs = (results(output)[8] for output in trained_by_two(*options))
+    assert ours == theirs
+    assert ours.owners == 4, "each process sees its own devices"
+    assert ours.same == trained(*options, *ON_EACH[1:])[8].same
+
+
+@needs_cpu
+@pytest.mark.slow
+def test_a_process_decodes_only_the_photos_that_its_devices_draw():
+    """No photo is kept in memory, so each use of one is a read; some steps are read ahead."""
+    steps, views, ahead = 8, 8, READERS
+    groups = list(islice(grouped(["alike"] * 11, views, seed=0), steps + ahead))
+    names = [view.name for view in capture(views=12).train]
+    for index, output in enumerate(trained_by_two("default")):
+        drawn = [[names[i] for i in group[4 * index : 4 * index + 4]] for group in groups]
+        needed, most = (Counter(chain(*drawn[:until])) for until in (steps, None))
+        read = Counter(re.search(r"read ((?:\d+\.png ?)+)", output)[1].split())
+        assert needed <= read <= most
 
 
 def test_training_on_several_views_a_step_learns():
@@ -180,3 +238,41 @@ def test_photos_with_and_without_alpha_share_a_step():
     scenes = [sx.fit(dataset, recipe) for dataset in (opaque, mixed)]
     for ours, theirs in zip(*map(jax.tree.leaves, scenes), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-6)  # two programs
+
+
+def test_photos_of_a_step_are_decoded_at_the_same_time(monkeypatch):
+    """Photos wait for each other in pairs, so two threads must decode them."""
+    monkeypatch.setattr("splatax.training.groups.cores", lambda: 2)
+    meeting, numbers = threading.Barrier(2), count()
+
+    def met(view):
+        def pixels():
+            if next(numbers) < 4:
+                meeting.wait(timeout=60)
+            return view.pixels()
+
+        return replace(view, pixels=pixels)
+
+    views, recipe = [met(view) for view in capture(views=5).train], with_views(RECIPE, 4)
+    steps = steps_of(views, recipe, 0, recipe.resolution, Dealt(devices_for(4, jax.devices()[:1])))
+    assert next(steps).photo.shape[0] == 4
+    steps.close()
+
+
+def test_steps_that_follow_do_not_depend_on_threads_or_on_where_a_run_starts(monkeypatch):
+    views, recipe = capture(views=8).train, with_views(RECIPE, 3)
+
+    def photos(threads, start):
+        monkeypatch.setattr("splatax.training.groups.cores", lambda: threads)
+        dealt = Dealt(devices_for(3, jax.devices()[:1]))
+        steps = steps_of(views, recipe, start, recipe.resolution, dealt)
+        found = [np.asarray(seen.photo) for seen in islice(steps, 6 - start)]
+        steps.close()
+        return found
+
+    one = photos(1, 0)
+    assert len({photo.tobytes() for photo in one}) == 6
+    for ours, theirs in zip(one, photos(7, 0), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    for ours, theirs in zip(one[2:], photos(7, 2), strict=True):
+        np.testing.assert_array_equal(ours, theirs)

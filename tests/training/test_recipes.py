@@ -11,8 +11,9 @@ from test_training import capture, run
 import splatax as sx
 from scenes import camera_at
 from splatax.demo.capture import write_capture
-from splatax.training.optimizer import LearningRates
-from splatax.training.recipes import PRESETS, Drawing, ShSchedule, rates_for, room_for, steps_for
+from splatax.training.density import Classic
+from splatax.training.optimizer import LearningRates, rates_for
+from splatax.training.recipes import PRESETS, Drawing, ShSchedule, room_for, steps_for
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -26,6 +27,12 @@ def test_a_recipe_is_a_value(name):
 def test_a_trained_scene_knows_its_filter():
     recipe = sx.Recipe(steps=1, drawing=Drawing(low_pass=sx.Antialiasing()))
     assert sx.fit(capture(), recipe).low_pass == sx.Antialiasing()
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_photos_are_weighed_by_default_only_where_opacities_are_never_reset(name):
+    resets = isinstance(PRESETS[name].build().density, Classic)
+    assert not (resets and PRESETS[name].weighs_photos)
 
 
 @pytest.mark.parametrize("name", PRESETS)

@@ -14,7 +14,7 @@ from splatax.demo.rigged import camera_around, drawn_arm, posed_dataset
 from splatax.metrics import to_8bit
 from splatax.scene.binding import bind, covering
 from splatax.scene.rigged import RiggedScene
-from splatax.training.posing import Search, fit_pose
+from splatax.training.posing import Search, fit_pose, pose_search
 from splatax.training.rigged import optimize_rig, recipe_for
 from splatax.training.rigged_step import Learned
 
@@ -124,6 +124,24 @@ def test_joints_turned_by_ten_degrees_are_recovered_to_one_degree():
     none = Dataset((), (), PointCloud(np.zeros((0, 3)), np.zeros((0, 3))))
     with pytest.raises(sx.DatasetError, match="none"):
         fit_pose(scene, none.train, start)
+
+
+def test_stiff_joints_are_drawn_to_the_rest_pose_about_their_stiff_axes():
+    gaussians, rig = covering(BODY, 20, opacity=1e-4)  # nothing is seen, so only the stiffness counts
+    scene = RiggedScene(gaussians, rig, BODY.clips)
+    camera = camera_around(BODY, 0.3, 0.2, SIZE)
+    view = View("black.png", camera, lambda: np.zeros((SIZE, SIZE, 3), np.uint8))
+    turn = np.array([0.2, -0.3, 0.1])
+    start = BODY.skeleton.turned({"bone 2": turn})
+    search = Search(steps=80, rate=0.02, joints=("bone 2",), stiffness=(0.0, 1.0, 2.0))
+    (_, loss), *_, (last, _) = pose_search(scene, [view], start, search)
+    np.testing.assert_allclose(loss, 1.0 * 0.3**2 + 2.0 * 0.1**2, rtol=1e-4)
+    row = BODY.skeleton.index("bone 2")
+    rest, found = (Rotation.from_quat(np.roll(p.quats[row], -1)) for p in (BODY.skeleton.rest, last))
+    assert np.abs((rest.inv() * found).as_rotvec()[1:]).max() < 0.02
+    np.testing.assert_allclose(last.quats[:row], start.quats[:row])  # other joints stay
+    with pytest.raises(sx.InputError, match="at least 0"):
+        fit_pose(scene, [view], start, Search(stiffness=(0.0, -1.0, 0.0)))
 
 
 def test_a_search_for_a_pose_needs_steps_and_photos_of_the_size_of_their_cameras():

@@ -14,11 +14,13 @@ from splatax.errors import DatasetError
 from splatax.evaluation import photo_of, picture
 from splatax.training.backgrounds import BACKGROUNDS, Solid
 from splatax.training.density import Classic, NoDensityControl
+from splatax.training.feed import Batch
 from splatax.training.initialize import FromPoints, InFrusta, focus_distance
+from splatax.training.loop import first_state
 from splatax.training.optimizer import LearningRates, without_locked_bands
 from splatax.training.priors import NoPrior
 from splatax.training.recipes import Drawing, ShSchedule, default
-from splatax.training.step import _train_step, photo_over
+from splatax.training.step import _train_step, compare, photo_over, train_step
 
 SIZE = (40, 32)
 
@@ -238,6 +240,18 @@ def test_no_photos_and_no_steps_are_refused():
         next(sx.optimize(replace(dataset, train=()), RECIPE))
     with pytest.raises(ValueError, match="at least one step"):
         next(sx.optimize(dataset, replace(RECIPE, steps=0)))
+
+
+def test_a_step_refuses_a_recipe_that_names_its_backend():
+    dataset, named = capture(), RECIPE.on("xla")
+    batch = Batch(dataset.train[0].camera, jnp.asarray(dataset.train[0].pixels()))
+    state = first_state(named.initialization(dataset, 1, 0), named, 1.0, 5)
+    told = r"names the backend 'xla'.*: look them up once, recipe\.on\(splatax\.backends\.resolve\('xla'\)\)"
+    with pytest.raises(ValueError, match=told):
+        train_step(state, batch, named)
+    assert np.isfinite(state.gaussians.means).all(), "the state was not donated"
+    with pytest.raises(ValueError, match=told):  # nor does traced code look the name up
+        jax.eval_shape(lambda state: compare(state, batch, named, jnp.zeros(3)).loss, state)
 
 
 def test_a_photo_that_is_not_of_its_cameras_size_is_refused():

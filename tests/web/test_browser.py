@@ -48,6 +48,23 @@ def test_cameras_see_what_our_renderer_draws(open_page, tmp_path, viewer, low_pa
         assert psnr(shown, expected) > psnr(shown, wrong) + 3
 
 
+def test_discs_are_shown_as_thin_ellipses(open_page, tmp_path, viewer):
+    """The page cannot draw along rays: it leaves out the slant of each disc, and has another filter."""
+    path, solid = tmp_path / "discs.html", random_gaussians(n=1500, scale=(0.01, 0.08), spread=0.7)
+    solid = replace(solid, low_pass=sx.AlongRays())
+    discs = replace(solid, log_scales=solid.log_scales.at[:, 2].set(-np.inf))
+    web.save(path, discs, title="discs", cameras=CAMERAS)
+    tab = open_page(path, SIZE)
+    for index, camera in enumerate(list(CAMERAS.values())[:3]):
+        tab.settle()
+        tab.tell(f"viewer.show({index})")
+        tab.settle()
+        shown = picture(tab)
+        exact, wrong = (np.clip(sx.render(scene, camera).rgb, 0, 1) for scene in (discs, solid))
+        assert psnr(shown, exact) > LIKE
+        assert psnr(shown, exact) > psnr(shown, wrong) + 6
+
+
 def test_it_opens_without_errors_and_asks_the_network_for_nothing(open_page, page):
     tab = open_page(page)
     tab.settle()

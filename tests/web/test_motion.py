@@ -9,16 +9,18 @@ import pytest
 from screenshots import picture, psnr
 
 import splatax as sx
+from scenes import random_gaussians
 from splatax import web
 from splatax.demo.rigged import camera_around, drawn_arm
 from splatax.scene.binding import covering
-from splatax.scene.rigged import RiggedScene
+from splatax.scene.rigged import AnimatedScene, RiggedScene
 from splatax.transforms import Similarity
 from splatax.web.skinned import TO_VIEWER, packed
 
 SIZE = 240
 TIMES = (0.0, 0.25, 0.5, 0.9, 1.5)  # seconds
 LIKE = 32.0  # dB
+FIELDS = ("means", "quats", "log_scales", "opacity_logits", "sh")
 
 
 def scene() -> RiggedScene:
@@ -84,3 +86,50 @@ def test_a_page_shows_what_our_renderer_draws_at_all_times_of_the_clip(open_page
     assert tab.errors == []
     tab.tell("viewer.animate()")
     tab.wait_for(f"viewer.stage.animation.time !== {TIMES[-1]}")
+
+
+def test_motions_that_do_not_fit_the_scene_are_refused(viewer):
+    rigged = scene()
+    motion = web.Motion(rigged.rig, rigged.clips["Wave"])
+    parts = sx.Scene({"arm": sx.Part(rigged.gaussians)})
+
+    def document(scene, motion):
+        web.document(scene, title="arm", motion=motion, name="arm.html")
+
+    with pytest.raises(sx.FormatError, match=r"arm\.html: a motion moves part 'leg', but the scene has arm"):
+        document(parts, {"leg": motion})
+    with pytest.raises(sx.FormatError, match="by the names of its parts"):
+        document(parts, motion)
+    fewer = replace(rigged.gaussians, **{name: getattr(rigged.gaussians, name)[:9] for name in FIELDS})
+    with pytest.raises(sx.FormatError, match="part 'scene' has 9 Gaussians, and its rig 3,000"):
+        document(fewer, motion)
+
+
+@pytest.mark.slow
+def test_a_part_moves_beside_another_that_stays_as_our_renderer_draws_them(open_page, tmp_path, viewer):
+    rigged, body = scene(), drawn_arm()
+    camera = camera_around(body, 0.3, 0.2, SIZE)
+    place = Similarity.of(degrees=(0.0, 40.0, 15.0), scale=0.6, move=(0.3, -0.5, 0.2))
+    wheel = random_gaussians(1, n=800, degree=0, scale=(0.02, 0.08), spread=0.5)
+    parts = sx.Scene({"wheel": sx.Part(wheel), "arm": sx.Part(rigged.gaussians, place)})
+    clip = rigged.clips["Wave"]
+    web.save(
+        tmp_path / "wave.html",
+        parts,
+        title="wave",
+        cameras={"view": camera},
+        background=(1.0, 1.0, 1.0),
+        motion={"arm": web.Motion(rigged.rig, clip)},
+    )
+    tab = open_page(tmp_path / "wave.html", (SIZE, SIZE))
+    tab.settle()
+    scores = []
+    for time in TIMES:
+        tab.tell(f"(viewer.settled = false, viewer.stage.animation.show({time}))")
+        tab.settle()
+        moved = AnimatedScene(parts, {"arm": rigged.rig}, {"Wave": clip}).at("Wave", time)
+        drawn = sx.render(moved, camera, background=sx.WHITE).rgb
+        scores.append(psnr(picture(tab), np.clip(drawn, 0, 1)))
+    print("dB at each time:", [round(score, 1) for score in scores])
+    assert min(scores) > LIKE
+    assert tab.errors == []

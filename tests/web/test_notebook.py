@@ -4,6 +4,8 @@ import subprocess
 import sys
 from html.parser import HTMLParser
 
+import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import splatax as sx
@@ -47,6 +49,16 @@ def test_it_is_one_frame_that_holds_the_page_whatever_is_in_it(stub):
     assert "src" not in attributes
     assert shown.page.count(">photo ") == 2
     assert '"background": [1.0, 1.0, 1.0]' in shown.page
+
+
+ORANGE = (1.0, 0.5, 0.25)
+
+
+@pytest.mark.parametrize("background", [ORANGE, np.array(ORANGE, np.float32), jnp.array(ORANGE)])
+def test_a_background_is_a_colour_in_any_form_that_render_takes(stub, background):
+    assert '"background": [1.0, 0.5, 0.25]' in sx.view(SCENE, background=background).page
+    rendered = sx.render(SCENE, camera_at((0, 0, 400.0)), background=background).rgb[0, 0]
+    np.testing.assert_allclose(rendered, ORANGE, atol=1e-6)
 
 
 def test_as_text_it_is_short(stub):

@@ -116,14 +116,14 @@ def test_the_embedded_scene_costs_a_good_scene_less_than_a_third_of_a_decibel(tm
         assert psnr(shown, original) > 49.5
 
 
-def test_discs_are_shown_as_thin_gaussians_with_the_usual_dilation(tmp_path, stub):
+def test_discs_are_shown_as_thin_gaussians_with_a_small_dilation(tmp_path, stub):
     flat = SCENE.log_scales.at[:, 2].set(-jnp.inf)
     scene = replace(SCENE, log_scales=flat, low_pass=sx.AlongRays())
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         text = write(tmp_path / "page.html", scene, title="page")
     told = json.loads(re.search(r'id="page">(.*?)</script>', text)[1])
-    assert told["lowPass"] == {"dilation": 0.3, "antialiasing": 0}
+    assert told["lowPass"] == {"dilation": 0.06, "antialiasing": 0}
 
 
 @pytest.mark.parametrize("low_pass", [sx.Dilation(0.2), sx.Antialiasing(0.4)])

@@ -69,8 +69,9 @@ export class Parts {
     return true;
   }
 
-  get first() {
-    return this.#parts[0].mesh;
+  /** The mesh of a part, by its index. */
+  mesh(index) {
+    return this.#parts[index].mesh;
   }
 
   async #mesh({ position, quaternion, scale }, file, { files, open, color, lod = false }) {

@@ -57,7 +57,7 @@ export class Stage {
   /** Loads the parts, or the previews of those that have one. `open` returns the bytes of a file. */
   async load(parts, open) {
     await this.parts.load(parts, open);
-    if (this.motion) this.animation = new Animation(this.parts.first, this.motion);
+    if (this.motion) this.animation = new Animation((part) => this.parts.mesh(part), this.motion);
     this.dirty = true;
   }
 

@@ -104,7 +104,9 @@ void blend_in_rounds(const Pass& pass, const Image& image, const std::vector<Rou
     size_t group = 0;
     each_group(pass.splats.channel_count, [&](int first, int size) {
       Image part = image;
-      part.first = first, part.light = light[group++], part.continues = round.begin > 0;
+      part.first = first;
+      part.light = light[group++];
+      part.continues = round.begin > 0;
       pass.work.launch("blend_" + std::to_string(size), pass.sizes.tiles, pass.splats, pass.frame, pass.lists.tiles,
                        part);
     });
@@ -146,9 +148,12 @@ Lists::Lists(const Sizes& sizes, uint32_t* words, float* checkpoints) {
     words += count;
     return begin;
   };
-  by_depth.order = next(sizes.count), by_depth.offsets = next(sizes.count + size_t{1});
-  tiles.pairs = next(sizes.capacity), tiles.owners = next(sizes.capacity);
-  tiles.starts = next(sizes.tiles + size_t{1}), tiles.first_chunks = next(sizes.tiles + size_t{1});
+  by_depth.order = next(sizes.count);
+  by_depth.offsets = next(sizes.count + size_t{1});
+  tiles.pairs = next(sizes.capacity);
+  tiles.owners = next(sizes.capacity);
+  tiles.starts = next(sizes.tiles + size_t{1});
+  tiles.first_chunks = next(sizes.tiles + size_t{1});
   tiles.last_chunks = next(sizes.tiles);
   tiles.checkpoints = checkpoints;
 }

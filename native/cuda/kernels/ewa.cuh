@@ -17,7 +17,8 @@ struct Slope {
   INLINE Slope(float free, float centre, float focal, int size) : free(free) {
     const float margin = FRUSTUM_MARGIN * 0.5f * size;
     const float low = -(centre + margin) / focal, high = (size - centre + margin) / focal;
-    below = free < low, above = high < free;
+    below = free < low;
+    above = high < free;
     value = fminf(fmaxf(free, low), high);
   }
 };
@@ -28,7 +29,10 @@ struct Turn {
   INLINE Turn(const float* quat) : w(quat[0]), x(quat[1]), y(quat[2]), z(quat[3]) {
     length = sqrtf(fmaf(w, w, fmaf(x, x, fmaf(y, y, z * z))));
     const float inverse = length > 0 ? 1 / length : 0.0f;
-    w *= inverse, x *= inverse, y *= inverse, z *= inverse;
+    w *= inverse;
+    x *= inverse;
+    y *= inverse;
+    z *= inverse;
   }
   INLINE bool is_finite() const { return ::is_finite(w) && ::is_finite(x) && ::is_finite(y) && ::is_finite(z); }
   INLINE Matrix rotation() const {
@@ -48,7 +52,8 @@ struct Lens {
       const float* column = camera + ROTATION + k;
       rotation.column[k] = {column[0], column[3], column[6]};
     }
-    translation = vector_at(camera + TRANSLATION), position = vector_at(camera + POSITION);
+    translation = vector_at(camera + TRANSLATION);
+    position = vector_at(camera + POSITION);
   }
 };
 
@@ -78,14 +83,18 @@ struct Projection {
     const Matrix axes = turn.rotation();
     oriented = {{scale.x * axes.column[0], scale.y * axes.column[1], scale.z * axes.column[2]}};
     for (int k = 0; k < 3; ++k) factor.column[k] = lens.rotation * oriented.column[k];
-    f = row_of_factor(jacobian_x(lens)), g = row_of_factor(jacobian_y(lens));
+    f = row_of_factor(jacobian_x(lens));
+    g = row_of_factor(jacobian_y(lens));
     const float size = dot(f, f) + dot(g, g);
     if (!usable || !::is_finite(size * size)) clear();
-    normal = cross(f, g), sharp = dot(normal, normal);
+    normal = cross(f, g);
+    sharp = dot(normal, normal);
     const float aa = dot(f, f), cc = dot(g, g), variance = view.variance;
     determinant = fmaf(variance, aa + cc, sharp) + variance * variance;
     usable = usable && determinant > 0;  // without a low-pass, a Gaussian can be too thin
-    a = usable ? aa + variance : 1, b = usable ? dot(f, g) : 0, c = usable ? cc + variance : 1;
+    a = usable ? aa + variance : 1;
+    b = usable ? dot(f, g) : 0;
+    c = usable ? cc + variance : 1;
     determinant = usable ? determinant : 1;
     own_opacity = logit == logit ? 1 / (1 + expf(-logit)) : 0.0f;
     fade = view.fades ? sqrtf(fmaxf(sharp / determinant, view.least_fade * view.least_fade)) : 1;

@@ -67,8 +67,12 @@ struct Ray {
     T = step.after;
     const float odds = __fdividef(step.alpha, 1 - step.alpha);
     const float g = step.clamped ? 0.0f : fmaf(-odds, behind, own), gs = g * step.s, gt = g * step.t;
-    sums[0] = g, sums[1] = gs, sums[2] = gt;
-    sums[3] = gs * step.dx, sums[4] = gs * step.dy, sums[5] = gt * step.dy;
+    sums[0] = g;
+    sums[1] = gs;
+    sums[2] = gt;
+    sums[3] = gs * step.dx;
+    sums[4] = gs * step.dy;
+    sums[5] = gt * step.dy;
     if constexpr (N > MOMENTS + C) {
       sums[MOMENTS + C] = fabsf(e.u * gs);
       sums[MOMENTS + C + 1] = fabsf(fmaf(e.v, gs, e.w * gt));

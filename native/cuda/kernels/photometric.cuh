@@ -31,8 +31,10 @@ struct Patch {
   INLINE explicit Patch(const Pictures& p) {
     const int columns = (p.width + TILE - 1) / TILE, tile = blockIdx.x / p.channels;
     channel = blockIdx.x % p.channels;
-    left = tile % columns * TILE, top = tile / columns * TILE;
-    column = left + threadIdx.x % TILE, row = top + threadIdx.x / TILE;
+    left = tile % columns * TILE;
+    top = tile / columns * TILE;
+    column = left + threadIdx.x % TILE;
+    row = top + threadIdx.x / TILE;
     inside = column < p.width && row < p.height;
   }
   INLINE size_t index(const Pictures& p, int at_column, int at_row) const {
@@ -88,7 +90,8 @@ KERNEL __launch_bounds__(BLOCK_SIZE) photometric_loss(Pictures pictures, LossWei
                                                       float* parts) {
   __shared__ float image[HALO][HALO], photo[HALO][HALO], down[5][TILE][HALO];
   const Patch patch(pictures);
-  patch.load(pictures, pictures.image, image), patch.load(pictures, pictures.photo, photo);
+  patch.load(pictures, pictures.image, image);
+  patch.load(pictures, pictures.photo, photo);
   __syncthreads();
   float moments[5];
   blur(moments, down, [&](int n, int y, int x) {
@@ -104,7 +107,9 @@ KERNEL __launch_bounds__(BLOCK_SIZE) photometric_loss(Pictures pictures, LossWei
     const float d_xx = -(similarity * b1 * inverse), d_xy = 2 * a1 * inverse;
     const float d_mx = 2 * (my * (a2 - a1) * inverse + mx * (-d_xx - similarity * b2 * inverse));
     const size_t at = patch.index(pictures), plane = (size_t)pictures.width * pictures.height * pictures.channels;
-    derivatives[at] = d_mx, derivatives[plane + at] = d_xx, derivatives[2 * plane + at] = d_xy;
+    derivatives[at] = d_mx;
+    derivatives[plane + at] = d_xx;
+    derivatives[2 * plane + at] = d_xy;
     const int y = threadIdx.x / TILE + RADIUS, x = threadIdx.x % TILE + RADIUS;
     part = weights.absolute * fabsf(image[y][x] - photo[y][x]) + weights.similarity * (1 - similarity);
   }

@@ -17,8 +17,10 @@ struct Pixel {
     const int lane = lane_number(), warp = warp_number();
     const int x = warp % 2 * WIDTH, y = warp / 2 * HEIGHT, own_x = x + lane % WIDTH, own_y = y + lane / WIDTH;
     const int tile_left = tile % frame.columns * TILE, tile_top = tile / frame.columns * TILE;
-    left = tile_left + x, top = tile_top + y;
-    column = tile_left + own_x, row = tile_top + own_y;
+    left = tile_left + x;
+    top = tile_top + y;
+    column = tile_left + own_x;
+    row = tile_top + own_y;
     in_tile = own_y * TILE + own_x;
     inside = column < frame.width && row < frame.height;
   }
@@ -39,8 +41,10 @@ struct Blend {
   bool finished;  // drawing it would take T below its floor
 
   INLINE Blend(const Ellipse& e, const Pixel& pixel, float T) {
-    dx = pixel.x() - e.x, dy = pixel.y() - e.y;
-    s = fmaf(e.u, dx, e.v * dy), t = e.w * dy;
+    dx = pixel.x() - e.x;
+    dy = pixel.y() - e.y;
+    s = fmaf(e.u, dx, e.v * dy);
+    t = e.w * dy;
     const float raw = fast_exp2(fmaf(-s, s, fmaf(-t, t, e.level)));
     clamped = raw > MAX_ALPHA;
     drawn = raw >= MIN_ALPHA;

@@ -23,10 +23,12 @@ KERNEL __launch_bounds__(BLOCK_SIZE) project(GaussianRows gaussians, View view, 
     color = visible ? Vector{fmaxf(color.x, 0), fmaxf(color.y, 0), fmaxf(color.z, 0)} : Vector{0, 0, 0};
   }
   const float u = sqrtf(p.c / p.determinant);
-  splats.means2d[2 * (size_t)row] = x, splats.means2d[2 * (size_t)row + 1] = y;
+  splats.means2d[2 * (size_t)row] = x;
+  splats.means2d[2 * (size_t)row + 1] = y;
   write({u, -(p.b * u) / p.c, 1 / sqrtf(p.c)}, splats.sqrt_conics + 3 * (size_t)row);
   splats.depths[row] = p.point.z;
-  splats.extents[2 * (size_t)row] = visible ? width : 0, splats.extents[2 * (size_t)row + 1] = visible ? height : 0;
+  splats.extents[2 * (size_t)row] = visible ? width : 0;
+  splats.extents[2 * (size_t)row + 1] = visible ? height : 0;
   write(color, splats.colors + 3 * (size_t)row);
   splats.opacities[row] = p.opacity;
 }

@@ -14,7 +14,9 @@ struct CameraGradient {
   INLINE void add(int field, const Vector& part) { add(field, part.x), add(field + 1, part.y), add(field + 2, part.z); }
   // Adds a b^T to the gradient of the rotation.
   INLINE void add_outer(const Vector& a, const Vector& b) {
-    add(ROTATION, a.x * b), add(ROTATION + 3, a.y * b), add(ROTATION + 6, a.z * b);
+    add(ROTATION, a.x * b);
+    add(ROTATION + 3, a.y * b);
+    add(ROTATION + 6, a.z * b);
   }
 };
 
@@ -67,8 +69,10 @@ INLINE void orientation_gradient(const GaussianRows& gaussians, const Projection
   const float d_z = 2 * (w * across_z + x * xz + y * yz - 2 * (z * (r0.x + r1.y)));
   const float along = d_w * w + d_x * x + d_y * y + d_z * z, inverse = turn.length > 0 ? 1 / turn.length : 0.0f;
   float* d_quat = gradients.quats + 4 * (size_t)row;
-  d_quat[0] = (d_w - along * w) * inverse, d_quat[1] = (d_x - along * x) * inverse;
-  d_quat[2] = (d_y - along * y) * inverse, d_quat[3] = (d_z - along * z) * inverse;
+  d_quat[0] = (d_w - along * w) * inverse;
+  d_quat[1] = (d_x - along * x) * inverse;
+  d_quat[2] = (d_y - along * y) * inverse;
+  d_quat[3] = (d_z - along * z) * inverse;
 }
 
 INLINE void clear_gradient(const GaussianGradients& gradients, int coefficients, int row) {
@@ -113,12 +117,15 @@ INLINE void gaussian_gradient(const GaussianRows& gaussians, const View& view, c
   const float d_x2d = cotangents.means2d[2 * (size_t)row], d_y2d = cotangents.means2d[2 * (size_t)row + 1];
   const float d_slope_x = d_x2d * lens.fx + slope_gradient(p.x, -(kx * d_jx.z), lens.fx, FX, CX, camera);
   const float d_slope_y = d_y2d * lens.fy + slope_gradient(p.y, -(ky * d_jy.z), lens.fy, FY, CY, camera);
-  camera.add(FX, d_kx * p.inverse_z + d_x2d * p.x.free), camera.add(FY, d_ky * p.inverse_z + d_y2d * p.y.free);
-  camera.add(CX, d_x2d), camera.add(CY, d_y2d);
+  camera.add(FX, d_kx * p.inverse_z + d_x2d * p.x.free);
+  camera.add(FY, d_ky * p.inverse_z + d_y2d * p.y.free);
+  camera.add(CX, d_x2d);
+  camera.add(CY, d_y2d);
   const float through_z = d_kx * kx + d_ky * ky + d_slope_x * p.x.free + d_slope_y * p.y.free;
   const Vector d_point{d_slope_x * p.inverse_z, d_slope_y * p.inverse_z,
                        cotangents.depths[row] - through_z * p.inverse_z};
-  camera.add_outer(d_point, p.mean), camera.add(TRANSLATION, d_point);
+  camera.add_outer(d_point, p.mean);
+  camera.add(TRANSLATION, d_point);
 
   float* d_sh = gradients.sh + 3 * (size_t)gaussians.coefficients * row;
   const Vector d_color = vector_at(cotangents.colors + 3 * (size_t)row);

@@ -29,7 +29,10 @@ INLINE void add_records(const SplatRows& splats, const DepthOrder& by_depth, con
       const float4* record = (const float4*)(in.records + (size_t)pair * RECORD);
       for (int q = 0; q < RECORD / 4; ++q) {
         const float4 part = record[q];
-        sums[4 * q] += part.x, sums[4 * q + 1] += part.y, sums[4 * q + 2] += part.z, sums[4 * q + 3] += part.w;
+        sums[4 * q] += part.x;
+        sums[4 * q + 1] += part.y;
+        sums[4 * q + 2] += part.z;
+        sums[4 * q + 3] += part.w;
       }
     }
     for (int k = 0; k < 3; ++k) root[k] = splats.sqrt_conics[3 * row + k] * (1 / ROOT_HALF_LOG2_E);

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from splatax.cameras import Camera
-from splatax.cameras.lenses import OpenCV
+from splatax.cameras.lenses import Lens, OpenCV, Pinhole, opencv
 from splatax.cameras.lenses.distortion import Distorted
 from splatax.footprints import visible_plane
 
@@ -52,7 +52,7 @@ class Layout:
     @classmethod
     def of(cls, camera: Camera) -> "Layout":
         """Returns the layout of a camera's numbers."""
-        leaves, lens = jax.tree.flatten(camera.lens)
+        leaves, lens = jax.tree.flatten(packed_lens(camera))
         return cls(camera.width, camera.height, lens, tuple(leaf.shape for leaf in leaves))
 
     def camera(self, numbers: PackedCamera) -> Camera:
@@ -72,6 +72,17 @@ class Layout:
         return Camera(fx, fy, cx, cy, pose, self.width, self.height, lens)
 
 
+def packed_lens(camera: Camera) -> Lens:
+    """Returns the lens through which kernels project for a camera.
+
+    Kernels find a pinhole's box of slopes from the size of the image. The box of OpenCV's lens is packed with
+    the camera. A pinhole on a canvas, whose box is that of its frame, is therefore packed as OpenCV's lens.
+    """
+    if camera.frame is not None and isinstance(camera.lens, Pinhole):
+        return opencv(dtype=camera.fx.dtype)
+    return camera.lens
+
+
 def packed(camera: Camera) -> PackedCamera:
     """Returns the numbers of a camera as one array, as `CameraField` and the lenses in native/ order them."""
     numbers = (camera.fx, camera.fy, camera.cx, camera.cy)
@@ -88,7 +99,7 @@ def packed(camera: Camera) -> PackedCamera:
 
 def _lens_numbers(camera: Camera) -> list[Float[Array, " _"]]:
     """Returns the coefficients of a lens, where it folds, and the box of slopes of a perspective."""
-    lens = camera.lens
+    lens = packed_lens(camera)
     if not isinstance(lens, Distorted):
         return []
     numbers = [jnp.ravel(leaf) for leaf in jax.tree.leaves(lens)]

@@ -1,8 +1,7 @@
 """Foreign projections: their inputs, and their derivatives in both modes.
 
 A kernel serves one kind of lens, for cameras that do not move, by EWA; the portable projection serves all
-others. Gradients, and tangents where the kernel has them, are the kernel's own. Second derivatives come from
-the portable projection, which JAX differentiates.
+others, and second derivatives. Gradients, and tangents where the kernel has them, are the kernel's own.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,7 +18,7 @@ from jaxtyping import Array, Float
 from splatax import projection
 from splatax.backends.foreign import Shape
 from splatax.backends.linear import Batched, Dims, linear_call
-from splatax.backends.packed_cameras import POSE_END, Layout, PackedCamera, packed
+from splatax.backends.packed_cameras import POSE_END, Layout, PackedCamera, packed, packed_lens
 from splatax.cameras import Camera
 from splatax.footprints import EWA, Method
 from splatax.gaussians import Gaussians
@@ -122,28 +121,35 @@ def project(
         return projection.project(gaussians, camera, low_pass, method)
     arrays = tuple(getattr(gaussians, field) for field in FIELDS)
     settings = Settings(kernel, Layout.of(camera), low_pass)
-    means2d, sqrt_conics, depths, extents, colors, opacities = _project(arrays, packed(camera), settings)
-    return Splats(means2d, sqrt_conics, depths, extents, colors, opacities, camera.width, camera.height)
+    found = _project(arrays, packed(camera), camera.frame, settings)
+    return Splats(*found, camera.width, camera.height)
 
 
 def kernel_for(camera: Camera, kernels: ProjectionKernels) -> Kernel | None:
     """Returns the foreign projection for a camera, or None if there is none."""
-    if camera.motion is not None or camera.frame is not None:  # the kernels know no canvases
+    if camera.motion is not None:
         return None
-    return kernels.get(type(camera.lens))
+    return kernels.get(type(packed_lens(camera)))
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(2,))
-def _project(arrays: tuple[Array, ...], camera: PackedCamera, settings: Settings) -> tuple[Array, ...]:
+@partial(jax.custom_jvp, nondiff_argnums=(3,))
+def _project(
+    arrays: tuple[Array, ...], camera: PackedCamera, frame: Float[Array, "2"] | None, settings: Settings
+) -> tuple[Array, ...]:
     n = len(arrays[0])
     shapes: list[Shape] = [(n, 2), (n, 3), (n,), (n, 2), (n, 3), (n,)]
-    return tuple(settings.kernel.forward(shapes, (*arrays, camera), settings.options))
+    found = tuple(settings.kernel.forward(shapes, (*arrays, camera), settings.options))
+    if frame is None:
+        return found
+    means2d, sqrt_conics, depths, extents, *rest = found
+    inside = jnp.all(means2d - extents < frame[None], axis=1, keepdims=True)  # kernels cull by the canvas
+    return means2d, sqrt_conics, depths, jnp.where(inside, extents, 0), *rest
 
 
 @partial(_project.defjvp, symbolic_zeros=True)
 def _(settings: Settings, primals, tangents):
-    arrays, camera = primals
-    splats = _project(arrays, camera, settings)
+    arrays, camera, frame = primals
+    splats = _project(arrays, camera, frame, settings)
     moving = tuple(not isinstance(tangent, SymbolicZero) for tangent in (*tangents[0], tangents[1]))
     directions = tuple(
         tangent if moves else jnp.zeros(tangent.shape, tangent.dtype)

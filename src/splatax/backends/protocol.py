@@ -214,7 +214,8 @@ class Kernels:
 
     Attributes:
         name: identifies the backend in messages and in the results of runs.
-        project: the projection.
+        project: the projection. Gaussians that are drawn along rays (`low_pass.AlongRays`) are projected by
+            `splatax.along_rays` on every backend, not by this kernel.
         composite: the rasterizer.
         select: the splats that decide each pixel.
         photometric: the loss.

@@ -156,7 +156,7 @@ def training(scene: Scene, backend: str) -> dict[str, Operation]:
     return {
         f"loss{BACKWARD}": lambda: loss_gradient(image, photo),
         "Adam": adam(scene, backend),
-        "training step": step(scene, Recipe().on(backend)),
+        "training step": step(scene, Recipe().on(backends.resolve(backend))),
     }
 
 
@@ -171,7 +171,7 @@ def adam(scene: Scene, backend: str) -> Operation:
     """Returns an operation that moves all fields of the scene by Adam, in place."""
     # A copy, because the move donates its arguments.
     gaussians = jax.tree.map(jnp.array, scene.gaussians)
-    recipe = Recipe().on(backend)
+    recipe = Recipe().on(backends.resolve(backend))
     carried = [gaussians, recipe.optimizer.rule().init(gaussians)]
     gradients = jax.tree.map(lambda leaf: jnp.full_like(leaf, 1e-8), gaussians)
     openings = jnp.asarray(recipe.sh.openings(recipe.steps))

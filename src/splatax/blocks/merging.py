@@ -82,7 +82,7 @@ def check_done(city: Path, plan: Plan) -> None:
     if other := [number for number in numbers if not is_of_plan(city, number)]:
         raise InputError(
             f"{city}: {_blocks(other)} trained for another plan. Train each again: splatax blocks train "
-            f"{city} {other[0]} --overwrite."
+            f"{city} {other[0]}."
         )
 
 

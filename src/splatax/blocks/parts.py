@@ -27,7 +27,7 @@ from splatax.metrics import to_8bit
 from splatax.rendering import render
 from splatax.resampling import resize_mask
 from splatax.runs.resume import differences
-from splatax.training.checkpoint import fingerprint
+from splatax.training.fingerprints import fingerprint
 from splatax.training.photo_cache import with_alpha
 
 DRAWING = Lock()  # one photo at a time, which leaves the device's memory to it

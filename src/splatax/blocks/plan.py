@@ -52,7 +52,7 @@ class Plan:
 
     Attributes:
         options: of the run of each block, by the names of the command line.
-        capture: its fingerprint; see `training.checkpoint.fingerprint`.
+        capture: its fingerprint; see `training.fingerprints.fingerprint`.
         coarse: file of the coarse scene.
         coarse_digest: of the contents of that file.
         axes: of the ground plane: unit vectors in the world.
@@ -116,10 +116,7 @@ def read_plan(city: Path) -> Plan:
     """
     path = city / PLAN
     if not path.is_file():
-        raise InputError(
-            f"{city}: no {PLAN} in it. Plan the blocks first: splatax blocks plan CAPTURE --out {city} "
-            "--blocks N."
-        )
+        raise InputError(f"{city}: no {PLAN} in it. Plan the blocks first: splatax blocks plan.")
     contents = read_record(path, AGAIN)
     with understood(path, AGAIN):
         blocks = []

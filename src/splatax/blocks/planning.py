@@ -16,7 +16,7 @@ from splatax.cameras import rig
 from splatax.dataset import Dataset, PointCloud
 from splatax.errors import InputError
 from splatax.gaussians import Gaussians
-from splatax.training.checkpoint import fingerprint
+from splatax.training.fingerprints import fingerprint
 
 COARSER = 6  # times fewer Gaussians than all blocks will have, and not more than one block
 SHORTER = 5  # times fewer steps

@@ -13,7 +13,7 @@ from splatax import backends
 from splatax.backends.protocol import Kernels
 from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
-from splatax.stages import composite, project
+from splatax.pipeline import composite, project
 
 SIDE = 256  # pixels of the pictures, whose proportions do not matter, so that all views are one program
 SHOWN = 0.02  # fraction of a picture that a block must fill for the view to be one of its views
@@ -32,10 +32,10 @@ def weights_in(gaussians: Gaussians, camera: Camera, backend: str | Kernels) -> 
 
 @partial(jax.jit, static_argnames="kernels")
 def _weights(gaussians: Gaussians, camera: Camera, kernels: Kernels) -> Float[Array, " n"]:
-    splats = project(gaussians, camera, backend=kernels)
+    splats = project(gaussians, camera, None, kernels)
 
     def total(channel):
-        return jnp.sum(composite(splats, channel, backend=kernels)[0])
+        return jnp.sum(composite(splats, channel, kernels)[0])
 
     # The image of a channel is the sum of weight times channel, so its gradient is the weight.
     return jax.grad(total)(jnp.zeros((len(gaussians), 1), gaussians.means.dtype))[:, 0]
@@ -63,9 +63,9 @@ def _filled(
     gaussians: Gaussians, rows: Bool[Array, " n"], camera: Camera, kernels: Kernels
 ) -> Float[Array, "h w"]:
     """Returns the sum of the blending weights of some Gaussians at each pixel."""
-    splats = project(gaussians, camera, backend=kernels)
+    splats = project(gaussians, camera, None, kernels)
     channel = rows[:, None].astype(splats.means2d.dtype)
-    return composite(splats, channel, backend=kernels)[0][..., 0]
+    return composite(splats, channel, kernels)[0][..., 0]
 
 
 @dataclass(frozen=True)

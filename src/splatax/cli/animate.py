@@ -23,7 +23,7 @@ from splatax.cli.options import (
     shown_as,
 )
 from splatax.cli.output import say
-from splatax.cli.page import is_page
+from splatax.cli.page import is_page, tell_losses
 from splatax.cli.rig import RIGGED
 from splatax.errors import InputError
 from splatax.io import video
@@ -80,6 +80,7 @@ class Animate:
             save_rigged(self.out, replace(scene, clips={clip.name: clip}), comments=kept_metres(path))
             say(f"{self.out}: {len(scene.gaussians):,} Gaussians with a skin and the clip {clip.name}")
             say("note    splat viewers that ignore skins show the bound pose, without motion")
+            tell_losses(self.out)
             return
         if is_page(self.out):
             self._page(scene, clip)
@@ -107,6 +108,7 @@ class Animate:
         web.save(self.out, scene.gaussians, title=title, background=behind, motion=motion)
         size = self.out.stat().st_size / 1e6
         say(f"{self.out}: {len(scene.gaussians):,} Gaussians, the clip {clip.name}, {size:.1f} MB")
+        tell_losses(self.out)
         if scene.gaussians.sh_degree:
             say("note    the page does not rotate view-dependent colour with the joints; videos do")
 

@@ -8,6 +8,7 @@ import tyro
 
 from splatax.cli.options import LowPassOption, OverwriteFlag, read_model
 from splatax.cli.output import say
+from splatax.cli.page import tell_losses
 from splatax.errors import InputError
 from splatax.io.rigs import read_body, save_rigged
 from splatax.scene.binding import bind
@@ -48,3 +49,4 @@ class Bind:
         save_rigged(self.out, scene, comments=kept_metres(model.path))
         clips = ", ".join(body.clips) or "none"
         say(f"{self.out}: {len(model.gaussians):,} Gaussians on {len(rig.skeleton)} joints, clips: {clips}")
+        tell_losses(self.out)

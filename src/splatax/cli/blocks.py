@@ -16,6 +16,7 @@ from splatax.cli.continuation import as_before, carry_on
 from splatax.cli.failures import advice
 from splatax.cli.options import Downscale, OverwriteFlag, flag, given, read_model, shown_as
 from splatax.cli.output import say, show
+from splatax.cli.page import tell_losses
 from splatax.cli.preparing import loaded, prepared
 from splatax.cli.settings import NAMES, Settings
 from splatax.cli.stages import Stages
@@ -189,6 +190,7 @@ class TrainBlock:
     """Train the block again from its first step, even if its run is finished or was interrupted."""
 
     def run(self) -> None:
+        require_plan(self.city)
         plan = read_plan(self.city)
         check_number(plan, self.city, self.block)
         out = folder_of(self.city, self.block)
@@ -234,12 +236,14 @@ class MergeBlocks:
             raise InputError(
                 f"{self.out}: exists. Choose another name, or replace it.", options=("overwrite",)
             )
+        require_plan(self.city)
         scene, kept = merged(self.city)
         self.out.parent.mkdir(parents=True, exist_ok=True)
         for part in kept:
             say(f"block {part.block}: {part.gaussians:,} of {part.trained:,} Gaussians inside its box")
         written = sx.save(self.out, scene)
         say(f"{self.out}: {written:,} Gaussians of {len(kept)} blocks")
+        tell_losses(self.out)
 
 
 Action = Annotated[
@@ -265,6 +269,15 @@ class Blocks:
             self.action.run()
         except InputError as error:
             raise InputError(advice(error, self.action)) from error
+
+
+def require_plan(city: Path) -> None:
+    """Raises InputError, with the command that makes a plan, if a folder has none."""
+    if not (city / PLAN).is_file():
+        raise InputError(
+            f"{city}: no {PLAN} in it. Plan the blocks first: splatax blocks plan CAPTURE --out {city} "
+            "--blocks N."
+        )
 
 
 def table_of(plan: Plan, photos: int) -> Table:

@@ -54,7 +54,8 @@ COMMANDS = {
     ),
     "label": Command("label:Label", "Split a scene into parts by label images (masks) of its photos."),
     "metres": Command(
-        "metres:Metres", "Store the scale of a scene, from one distance that is known in metres."
+        "metres:Metres",
+        "Store the scale of a scene, from a distance that is known in metres or from GPS positions.",
     ),
     "demo": Command("demo:Demo", "Render a synthetic scene, train on it and build its page."),
     "bench": Command("bench:Bench", "Time projection, rasterizer, loss, Adam and the whole training step."),

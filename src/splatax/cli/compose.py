@@ -9,19 +9,21 @@ import tyro
 from splatax import web
 from splatax.cli.options import OverwriteFlag
 from splatax.cli.output import say
-from splatax.cli.page import is_page
+from splatax.cli.page import is_page, tell_losses
 from splatax.errors import InputError
+from splatax.io.rigs import save_animated
 from splatax.io.scenes import save_scene
+from splatax.scene import AnimatedScene
 
 
 @dataclass(frozen=True)
 class Compose:
     """Compose a scene of parts with variants, as a web page or a .glb file.
 
-    A .toml file gives the splat file and the pose of each part, the variants, notes, the first view and a
-    camera path; docs/configurator.md lists its keys. A page has a button for each option of a variant. A .glb
-    file has a node for each part, and shows the first option of each variant; splatax reads the others from
-    it too.
+    A .toml file gives the splat file and the pose of each part, the clips that parts play, the variants,
+    notes, the first view and a camera path; docs/configurator.md lists its keys. A page has a button for each
+    option of a variant. A .glb file has a node for each part, skins and clips, and shows the first option of
+    each variant; splatax reads the others from it too.
     """
 
     composition: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE.{toml,glb}")]
@@ -47,13 +49,29 @@ class Compose:
                 title=found.title,
                 background=found.background,
                 presentation=found.presentation,
+                motion=found.motions,
             )
         else:
-            variants = found.presentation.variants
-            save_scene(self.out, found.scene, variants=variants, comments=(found.title,))
+            self._save(found)
         options = sum(map(len, found.presentation.variants.values()))
         say(
             f"{self.out}: {len(found.scene.parts)} parts, {len(found.scene):,} Gaussians, "
             f"{options} options of {len(found.presentation.variants)} variants, "
+            f"{len(found.motions)} parts that move, "
             f"{self.out.stat().st_size / 1e6:.1f} MB"
         )
+        tell_losses(self.out)
+
+    def _save(self, found: web.Composition) -> None:
+        """Writes the .glb file."""
+        variants, comments = found.presentation.variants, (found.title,)
+        if not found.motions:
+            save_scene(self.out, found.scene, variants=variants, comments=comments)
+            return
+        rigs = {name: motion.rig for name, motion in found.motions.items()}
+        clips = {motion.clip.name: motion.clip for motion in found.motions.values()}
+        try:
+            animated = AnimatedScene(found.scene, rigs, clips)
+        except ValueError as error:
+            raise InputError(f"{self.out}: {error} A .glb file keeps one skeleton. Write a page.") from error
+        save_animated(self.out, animated, variants=variants, comments=comments)

@@ -17,7 +17,7 @@ from splatax.cli.preparing import POINTS, found_points
 from splatax.cli.reconstruct import FindingCameras, Reconstruct
 from splatax.cli.settings import NAMES, Settings
 from splatax.cli.train import Train
-from splatax.cli.train_options import Limits, Live, Method, Photos, Rerun, Saving
+from splatax.cli.train_options import Devices, Limits, Live, Method, Photos, Rerun, Saving
 from splatax.dataset import photos_in
 from splatax.errors import InputError
 from splatax.io.datasets import is_capture
@@ -71,6 +71,7 @@ class Create:
     cameras: FindingCameras = FindingCameras()
     photos: Photos = Photos()
     limits: Limits = Limits()
+    devices: Devices = Devices()
     method: Method = Method()
     saving: Saving = Saving()
     live: Live = Live()
@@ -113,15 +114,18 @@ class Create:
             overwrite=True,
             photos=photos,
             limits=self.limits,
+            devices=self.devices,
             method=method,
             saving=self.saving,
             live=self.live,
         )
-        judge = None
+        judge, had_trial = photos.judged_by, False
         if photos.hold_out is None:
-            judge = self.tried(run, capture, began)
+            if judge is None:
+                judge = self.tried(run, capture, began)
+                had_trial = judge is not None
             run = replace(run, photos=replace(photos, hold_out="none", judged_by=judge))
-        replace(run, limits=self.left(began, 1.0, had_trial=judge is not None)).run()
+        replace(run, limits=self.left(began, 1.0, had_trial)).run()
         self.stop_if_stopped(out)
 
     def tried(self, run: Train, capture: Path, began: float) -> Path | None:
@@ -211,8 +215,13 @@ class Create:
             raise InputError(f"{self.images}: no such folder or file.")
         if not is_capture(self.images):
             refuse_overlap(self.images, self.out / "capture")
+        if self.devices.hosts is not None:
+            raise InputError(
+                "--hosts: the stages of splatax create run in one process. Make the capture with splatax "
+                "reconstruct, train it with splatax train --hosts, and write the page with splatax page."
+            )
         self.cameras.check()
-        Train(limits=self.limits, method=self.method).limited(self.settings(), 0.0)
+        Train(limits=self.limits, devices=self.devices, method=self.method).limited(self.settings(), 0.0)
         self.settings().check()
         if self.out.exists() and not self.out.is_dir():
             raise InputError(f"{self.out}: a file, not a folder. Choose another --out.")

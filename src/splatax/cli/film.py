@@ -12,6 +12,7 @@ from splatax.cli.options import Model
 from splatax.errors import InputError
 from splatax.io import video
 from splatax.metrics import to_8bit
+from splatax.rendering import Color
 from splatax.report.pictures import depth_range, shaded
 from splatax.trajectories.shapes import focus_of
 
@@ -39,7 +40,7 @@ class Film:
     fps: int
     seconds: float
     depth: bool
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    background: Color = (0.0, 0.0, 0.0)
     backend: str = "auto"
 
     def cameras(self, model: Model, dataset: sx.Dataset | None) -> list[sx.Camera]:

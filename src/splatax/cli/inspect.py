@@ -58,6 +58,8 @@ class Inspect:
             color = COLORS[problem.severity]
             show(Text.assemble((problem.severity, color), "  ", cell(problem.what)))
             show(cell(f"   -> {problem.fix}"))
+        if dataset is None:
+            say(f"to find the poses: splatax reconstruct {self.scene} --out SCENE")
         out = self.out or Path("runs") / self.scene.resolve().name / "inspect.html"
         try:
             out.parent.mkdir(parents=True, exist_ok=True)

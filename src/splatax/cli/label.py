@@ -24,6 +24,7 @@ from splatax.cli.options import (
     shown_as,
 )
 from splatax.cli.output import say
+from splatax.cli.page import tell_losses
 from splatax.errors import InputError
 from splatax.io import label_images
 from splatax.io.datasets import masks
@@ -85,6 +86,7 @@ class Label:
         for name, part in parts.parts.items():
             say(f"{len(part.gaussians):9,} Gaussians  {name}")
         say(f"{out}: {len(parts.parts)} parts from {len(voting)} label images")
+        tell_losses(out)
         if testing:
             mean = mean_iou(model.gaussians, labels, count, testing, renderer)
             say(f"mean intersection over union on {counted(len(testing), 'held-out photo')}: {mean:.3f}")

@@ -22,6 +22,7 @@ from splatax.cli.options import (
 )
 from splatax.cli.output import say
 from splatax.errors import InputError
+from splatax.io import formats
 
 SUFFIXES = (".html", ".htm")
 
@@ -68,6 +69,11 @@ def is_page(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES
 
 
+def tell_losses(path: Path) -> None:
+    """Prints which precision a page or a splat file has lost."""
+    say(f"loses: {web.LOSES if is_page(path) else formats.format_of(path).LOSES}")
+
+
 def write_page(
     out: Path,
     model: Model,
@@ -76,7 +82,7 @@ def write_page(
     background: str | None,
     lod_above: int = web.LOD_ABOVE,
 ) -> None:
-    """Writes the page of a model, and prints its size.
+    """Writes the page of a model, and prints its size and what it loses.
 
     Args:
         out: the page.
@@ -97,3 +103,4 @@ def write_page(
     )
     size = out.stat().st_size / 1e6
     say(f"{out}: {len(model.gaussians):,} Gaussians, {len(cameras)} cameras, {size:.1f} MB")
+    tell_losses(out)

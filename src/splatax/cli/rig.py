@@ -24,6 +24,7 @@ from splatax.gaussians import Gaussians
 from splatax.io.files import write_whole
 from splatax.io.rigs import read_body, save_rigged
 from splatax.io.rigs.poses import Posing, along_clip, read_poses, write_poses
+from splatax.rendering import Color
 from splatax.report.rigged import posed_comparisons, rig_report, seen_by
 from splatax.runs.checkpoints import Checkpoints
 from splatax.runs.claim import claimed_for_run
@@ -264,7 +265,7 @@ def write(
     scene: RiggedScene,
     posing: Posing,
     dataset: sx.Dataset,
-    background: tuple[float, float, float],
+    background: Color,
     history: History,
 ) -> None:
     """Writes the files of a run, and prints its scores and where they are."""

@@ -162,15 +162,14 @@ class Settings:
         )
 
     def weighing(self, dataset: sx.Dataset) -> str:
-        """Returns the name of how photos are weighed: robustly by default, if there are enough of them.
+        """Returns the name of how photos are weighed.
 
-        The opacity resets of `classic` raise the loss of the photos that come next, which then seem to fit
-        badly; only recipes that `plannable` marks have no such steps for sure.
+        By default they are weighed robustly if the preset says so, and if there are enough of them.
         """
         if self.photo_weights != "auto":
             return self.photo_weights
         enough = photos_in(dataset.train) >= FEWEST_TO_WEIGH
-        return "robust" if enough and PRESETS[self.recipe].plannable else "equal"
+        return "robust" if enough and PRESETS[self.recipe].weighs_photos else "equal"
 
     def initialization(self) -> Initialization:
         """Returns how the first Gaussians are created."""

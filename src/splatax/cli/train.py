@@ -13,10 +13,10 @@ import tyro
 
 from splatax.cli.display import Display
 from splatax.cli.finishing import written
-from splatax.cli.hosts import joined, kept_by_one
+from splatax.cli.hosts import follow, joined, tell
 from splatax.cli.interruption import Interruption
 from splatax.cli.options import flag, given, parsed, shown_as
-from splatax.cli.output import say
+from splatax.cli.output import complain, say
 from splatax.cli.preparing import loaded, planned, prepared
 from splatax.cli.settings import NAMES, Settings, as_started
 from splatax.cli.train_options import Devices, Limits, Live, Method, Photos, Rerun, Saving
@@ -28,7 +28,7 @@ from splatax.io.memory import decoding
 from splatax.runs.budget import DEFAULT_BUDGET, Changes, Clock, Expected, parse_seconds
 from splatax.runs.checkpoints import Checkpoints
 from splatax.runs.claim import claimed_for_run
-from splatax.runs.finished import finished, read_runs
+from splatax.runs.finished import finished, read_runs, version_changes
 from splatax.runs.history import History
 from splatax.runs.keeping import with_photos_kept
 from splatax.runs.planning import Deadline, gigabytes, room_within
@@ -37,6 +37,7 @@ from splatax.runs.results import Results
 from splatax.runs.resume import OTHER, Earlier, facts, find
 from splatax.runs.session import Session, all_made
 from splatax.training.loop import RunState
+from splatax.training.processes import from_first
 from splatax.training.recipes import PRESETS, steps_for
 
 MAY_CHANGE = {"scene", "points", "judged_by", "title", "checkpoint_every", "checkpoint_steps"}  # on resuming
@@ -92,6 +93,8 @@ class Train:
             self.train(settings, earlier.history, earlier=earlier)
         elif self.rerun.repeat is not None:
             stored, made = finished(self.rerun.repeat, NAMES)
+            if changes := version_changes(self.rerun.repeat):
+                complain(f"warning: the scene will not have the same bytes: {'; '.join(changes)}")
             with understood(self.rerun.repeat, "Repeat another run."):
                 free = MAY_CHANGE | {"out", "overwrite"}
                 settings = as_started(Settings, stored | NOT_REPEATED, chosen, free)
@@ -111,10 +114,12 @@ class Train:
             InputError: if a budget has nothing left to plan.
         """
         name = "within" if self.limits.within is not None else "budget"
-        if settings.views > 1 and self.limits.steps is None:
-            raise InputError(
-                "--views: a time budget is planned for steps of one photo. Give a number of steps: --steps."
-            )
+        if settings.views > 1:
+            if settings.budget is not None or self.limits.within is not None:
+                raise InputError(
+                    f"{flag(name)}: plans steps of one photo. With --views, leave it out, or give --steps."
+                )
+            return settings, None
         plannable = PRESETS[settings.recipe].plannable and self.limits.steps is None
         if settings.budget is None and self.limits.within is None:
             if not plannable:
@@ -155,20 +160,20 @@ class Train:
             raise InputError("No capture is given. Name its folder, or a run to resume: --resume RUN.")
         settings = settings.absolute()
         assert settings.scene
-        judge = read_runs([settings.judged_by])[0] if settings.judged_by else None
-        dataset = loaded(settings)
-        for note in dataset.notes:
-            say(note)
         title = settings.title or settings.scene.resolve().name
         out = earlier.run if earlier else settings.out or Path("runs") / settings.scene.resolve().name
         if jax.process_count() > 1:
             if settings.views == 1 or self.live.view:
                 raise InputError("--hosts: needs --views, and cannot be used with --view.")
             settings = replace(settings, checkpoint_every=0.0)  # the clocks of the processes differ
-        with (
-            kept_by_one(out) as out,
-            claimed_for_run(out, settings.overwrite or earlier is not None),
-        ):
+        if jax.process_index() > 0:
+            follow(settings, history, earlier)
+            return
+        judge = read_runs([settings.judged_by])[0] if settings.judged_by else None
+        dataset = loaded(settings)
+        for note in dataset.notes:
+            say(note)
+        with claimed_for_run(out, settings.overwrite or earlier is not None):
             if not earlier and self.rerun.repeat is None:
                 settings, dataset = prepared(settings, dataset, out)
             settings = replace(settings, background=settings.background or dataset.background)
@@ -181,10 +186,13 @@ class Train:
             expected = None
             if earlier is None:
                 settings, dataset, expected = planned(settings, dataset, room, deadline)
+            tell(settings)
             recipe = settings.to_recipe(dataset)
             reading, kept = with_photos_kept(dataset, room)
             if kept:
                 say(kept)
+            if reading is not dataset:
+                say("to remove the decoded photos: splatax cache --clear")
             checkpoints = Checkpoints(
                 out,
                 facts(asdict(settings), recipe, dataset),
@@ -203,10 +211,9 @@ class Train:
             )
             with checkpoints:
                 last = self.steps(session, earlier.state(recipe, dataset) if earlier else None)
-                if jax.process_index() > 0:
-                    return
                 results = Results(title, dataset, recipe, history, last, asdict(settings), out, judge)
                 written(results, checkpoints)
+                from_first(b"the results are written")
             if history.interrupted:
                 say(f"stopped at step {history.steps:,}. Resume it: splatax train --resume {out}")
 
@@ -244,12 +251,14 @@ class Train:
 
 
 def with_steps(settings: Settings, dataset: Dataset) -> Settings:
-    """Returns settings with a number of steps that follows the number of photos, and prints it if it does."""
-    steps = steps_for(dataset)
-    if steps > settings.steps:
+    """Returns settings with a number of steps that follows the number of photos; prints it unless 30,000."""
+    photos, choose = steps_for(dataset), "Choose another number: --steps"
+    steps = -(-photos // settings.views)
+    if settings.views > 1:
+        say(f"{steps:,} steps of {counted(settings.views)}, {photos:,} photos in all. {choose}")
+    elif steps > settings.steps:
         count = photos_in(dataset.train)
-        each = f"{steps // count} for each of {counted(count)}"
-        say(f"{steps:,} steps, {each}. Choose another number: --steps")
+        say(f"{steps:,} steps, {steps // count} for each of {counted(count)}. {choose}")
     return replace(settings, steps=steps)
 
 

@@ -75,7 +75,7 @@ class Limits:
     steps: Count = None
     """Number of training steps; each step uses one photo, or --views photos. By default as many as
     --budget has time for; for other recipes than "default" 30,000, or 30 for each training photo if that is
-    more."""
+    more. With --views, a part of that, so that the photos of all steps together are as many."""
     max_gaussians: Annotated[Literal["auto"] | int | None, shown_as("{auto,N}")] = None
     """Upper limit of the number of Gaussians. "classic" and "absgrad" rarely reach it; the other recipes
     always do. By default "auto": as many as the photos have detail for, or 5,000,000 for "classic" and
@@ -90,13 +90,14 @@ class Devices:
     """Several photos in each step, on several devices and hosts. See docs/scale.md."""
 
     views: Count = None
-    """Number of photos in each step (batch size); needs --steps. They are divided among all devices that JAX
-    finds; the scene depends on this number, not on the number of devices. By default 1."""
+    """Number of photos in each step (batch size). They are divided among all devices that JAX finds; the
+    scene depends on this number, not on the number of devices. It excludes --budget and --within. By
+    default 1."""
     hosts: Annotated[str | None, shown_as("{auto,ADDRESS:PORT,COUNT,INDEX}")] = None
     """Train together with other processes, which run the same command; needs --views. "auto": as JAX finds
     them (SLURM, Open MPI, Kubernetes, TPU pods); else the address of process 0, the number of processes, and
-    the index of this one, from 0. Process 0 writes the results. Checkpoints are saved every
-    --checkpoint-steps steps."""
+    the index of this one, from 0. Process 0 decides, and writes the results. Checkpoints are saved every
+    --checkpoint-steps steps. splatax create runs in one process and refuses this option."""
 
 
 @dataclass(frozen=True)
@@ -138,7 +139,7 @@ class Method:
     geometry: Annotated[bool, shown_as()] = False
     """Make the Gaussians lie on surfaces, for accurate depth, normals and meshes. Adds penalties on the
     spread of depth along each ray, and on depths that differ from those of the capture's own points or depth
-    maps. Training takes about twice as long, and PSNR is 0.1 to 0.4 dB lower. By default off."""
+    maps. Training takes about twice as long, and PSNR is 0.1 to 0.9 dB lower. By default off."""
     photo_weights: Annotated[PhotoWeightsName | None, shown_as()] = None
     """Weights of photos in training. "robust": photos whose loss stays far above that of the others after a
     third of the run get a lower weight, because their pose is wrong or they show something else; "equal": all

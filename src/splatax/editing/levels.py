@@ -19,7 +19,7 @@ from splatax.gaussians import Gaussians
 
 NEIGHBOURS = 6
 SMALLEST = 20_000  # Gaussians; below, another level saves nothing
-SHARE = 0.25  # of the Gaussians of a level are in the next
+FRACTION = 0.25  # of the Gaussians of a level are in the next
 COLORS = 4.0  # weight of a difference of colours, beside one of places in units of size
 
 
@@ -31,8 +31,8 @@ def levels_of(gaussians: Gaussians, count: int | None = None) -> tuple[Gaussians
         count: number of levels; None for as many as have more than 20,000 Gaussians, and level 0.
     """
     levels = [gaussians]
-    while len(levels) < count if count else SHARE * len(levels[-1]) > SMALLEST:
-        levels.append(coarser(levels[-1], max(round(SHARE * len(levels[-1])), 1)))
+    while len(levels) < count if count else FRACTION * len(levels[-1]) > SMALLEST:
+        levels.append(coarser(levels[-1], max(round(FRACTION * len(levels[-1])), 1)))
     return tuple(levels)
 
 
@@ -91,16 +91,16 @@ def _pairs(gaussians: Gaussians, most: int) -> tuple[Int[np.ndarray, " p"], Int[
 def _merged(gaussians: Gaussians, first: Int[np.ndarray, " p"], second: Int[np.ndarray, " p"]) -> Gaussians:
     """Returns the scene with each pair of rows replaced by one Gaussian, in the place of the first."""
     weights = weights_of(gaussians)
-    share = (weights[first] / (weights[first] + weights[second]))[:, None]
+    fractions = (weights[first] / (weights[first] + weights[second]))[:, None]
 
     def mean(values: Float[np.ndarray, "n ..."]) -> Float[np.ndarray, "p ..."]:
-        by = share.reshape(-1, *[1] * (values.ndim - 1))
+        by = fractions.reshape(-1, *[1] * (values.ndim - 1))
         return by * values[first] + (1 - by) * values[second]
 
     means = np.asarray(gaussians.means, np.float64)
     middle = mean(means)
     covariance = mean(covariances_of(gaussians))
-    for rows, by in ((first, share), (second, 1 - share)):
+    for rows, by in ((first, fractions), (second, 1 - fractions)):
         away = means[rows] - middle
         covariance += by[..., None] * away[:, :, None] * away[:, None, :]
     kept = np.ones(len(means), bool)

@@ -47,7 +47,7 @@ def problems_of(found: Examination) -> list[Problem]:
 
 def poses(found: Examination) -> Iterator[Problem]:
     if found.dataset is None:
-        fix = f"splatax reconstruct {found.path} --out SCENE"
+        fix = f"Find them: splatax reconstruct {found.path}."
         yield Problem("error", "The photos have no poses, so nothing can be trained on them yet.", fix)
 
 
@@ -170,7 +170,7 @@ def outliers(names: list[str], values: Float[np.ndarray, " n"], floor: float, si
 
 
 def masks(found: Examination) -> Iterator[Problem]:
-    if hidden := sorted(name for name, share in found.coverage.items() if share < MOSTLY_HIDDEN):
+    if hidden := sorted(name for name, shown in found.coverage.items() if shown < MOSTLY_HIDDEN):
         yield Problem(
             "warning",
             f"{len(hidden)} masks leave less than {MOSTLY_HIDDEN:.0%} of their photo: {listed(hidden)}.",

@@ -4,20 +4,21 @@
 variants.
 """
 
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import Bool
 
 from splatax.errors import FormatError
 from splatax.gaussians import Gaussians, broken
 from splatax.io.formats import glb
-from splatax.io.formats.glb_scene import ORIGINAL, VISIBILITY
+from splatax.io.formats.glb_scene import ORIGINAL, VISIBILITY, Placed
 from splatax.io.formats.marks import mark, marked
 from splatax.io.formats.untrusted import structured
 from splatax.scene import ColorMap, Option, Part, Scene, Variants, chosen
@@ -87,15 +88,23 @@ def _parts(path: Path) -> dict[str, tuple[Part, dict[str, Any]]]:
     comments = glb.comments(path)
     turned: dict[int, Gaussians] = {}
     parts: dict[str, tuple[Part, dict[str, Any]]] = {}
-    for at, gaussians in glb.placed(path, ORIGINAL):
+    found = glb.placed(path, ORIGINAL)
+    for name, (at, gaussians) in zip(names_of([at for at, _ in found]), found, strict=True):
         if id(gaussians) not in turned:
             turned[id(gaussians)] = marked(half_turn(gaussians, axis=2), comments)
-        name = _unused(at.name or "part", parts)
         # Other programs may have dropped the original harmonics: the map is then part of the colours.
         original = any(attribute.startswith(ORIGINAL) for attribute in at.primitive["attributes"])
         color = _map(at.extras["color"]) if original and "color" in at.extras else None
-        parts[name] = Part(turned[id(gaussians)], _half_turned(at.place), at.visible, color), at.extras
+        parts[name] = Part(turned[id(gaussians)], half_turned(at.place), at.visible, color), at.extras
     return parts
+
+
+def names_of(placed: Sequence[Placed]) -> list[str]:
+    """Returns the names of the parts that nodes become: "part" without a name, and a number if it repeats."""
+    names: list[str] = []
+    for at in placed:
+        names.append(_unused(at.name or "part", names))
+    return names
 
 
 def _alone(part: Part, extras: Mapping[str, Any]) -> Part:
@@ -147,6 +156,29 @@ def save_scene(
     """
     path = Path(path)
     _check_suffix(path)
+    nodes, meshes, lines, kept = written(path, scene, variants, comments)
+    glb.write(path, meshes, nodes, lines, kept)
+    return sum(len(mesh.gaussians) for mesh in meshes)
+
+
+class Written(NamedTuple):
+    """The contents of a file with a scene.
+
+    Attributes:
+        nodes: glTF's objects, one for each part.
+        meshes: the splats, which nodes name by their index.
+        lines: comments.
+        kept: JSON values to keep with the scene.
+    """
+
+    nodes: list[dict[str, Any]]
+    meshes: list[glb.Mesh]
+    lines: tuple[str, ...]
+    kept: dict[str, Any]
+
+
+def written(path: Path, scene: Scene, variants: Variants, comments: tuple[str, ...]) -> Written:
+    """Returns what a file keeps of a scene; the arguments and exceptions are those of `save_scene`."""
     filters = {part.gaussians.low_pass for part in scene.parts.values()}
     if len(filters) > 1:
         raise FormatError(
@@ -154,19 +186,18 @@ def save_scene(
             "Train them alike."
         )
     shown = chosen(scene, variants)
-    nodes, written = drawn_parts(path, shown)
+    nodes, meshes = _drawn_parts(path, shown)
     for (name, part), node in zip(shown.parts.items(), nodes, strict=True):
         if part is not (own := scene[name]):
             node.setdefault("extras", {"splatax": {}})["splatax"]["alone"] = {
                 "visible": bool(own.visible > 0),
                 "color": _rows(own.color),
             }
-    lines = (mark(filters.pop()), *comments)
-    glb.write(path, written, nodes, lines, {"variants": _written(variants)} if variants else {})
-    return sum(len(mesh.gaussians) for mesh in written)
+    kept = {"variants": _listed(variants)} if variants else {}
+    return Written(nodes, meshes, (mark(filters.pop()), *comments), kept)
 
 
-def drawn_parts(path: Path, scene: Scene) -> tuple[list[dict[str, Any]], list[glb.Mesh]]:
+def _drawn_parts(path: Path, scene: Scene) -> tuple[list[dict[str, Any]], list[glb.Mesh]]:
     """Returns a node for each part of a scene, and the meshes that they place.
 
     Parts that share their Gaussians and colours share a mesh.
@@ -175,7 +206,7 @@ def drawn_parts(path: Path, scene: Scene) -> tuple[list[dict[str, Any]], list[gl
         FormatError: if a part has SH above degree 3. The message names the file.
     """
     meshes: dict[tuple[int, int], int] = {}
-    written: list[glb.Mesh] = []
+    made: list[glb.Mesh] = []
     nodes: list[dict[str, Any]] = []
     for name, part in scene.parts.items():
         if part.gaussians.sh_degree > glb.MAX_SH_DEGREE:
@@ -185,13 +216,13 @@ def drawn_parts(path: Path, scene: Scene) -> tuple[list[dict[str, Any]], list[gl
             )
         shared = (id(part.gaussians), id(part.color))
         if shared not in meshes:
-            meshes[shared] = len(written)
-            written.append(_mesh(part))
+            meshes[shared] = len(made)
+            made.append(_mesh(part))
         nodes.append(_node(name, part, meshes[shared]))
-    return nodes, written
+    return nodes, made
 
 
-def _written(variants: Variants) -> list[dict[str, Any]]:
+def _listed(variants: Variants) -> list[dict[str, Any]]:
     """Returns variants as JSON values."""
     return [
         {
@@ -212,7 +243,7 @@ def _written(variants: Variants) -> list[dict[str, Any]]:
 def _node(name: str, part: Part, mesh: int) -> dict[str, Any]:
     from scipy.spatial.transform import Rotation
 
-    pose = _half_turned(part.pose)
+    pose = half_turned(part.pose)
     node: dict[str, Any] = {
         "name": name,
         "mesh": mesh,
@@ -227,7 +258,7 @@ def _node(name: str, part: Part, mesh: int) -> dict[str, Any]:
     return node
 
 
-def _half_turned(pose: Similarity) -> Similarity:
+def half_turned(pose: Similarity) -> Similarity:
     """Returns a pose between our axes and glTF's; it undoes itself."""
     rotation, translation = np.asarray(pose.rotation), np.asarray(pose.translation)
     return Similarity(SIGNS[:, None] * rotation * SIGNS[None], SIGNS * translation, float(pose.scale))
@@ -235,10 +266,14 @@ def _half_turned(pose: Similarity) -> Similarity:
 
 def _mesh(part: Part) -> glb.Mesh:
     """Returns the sound Gaussians of a part, with and without its map of colours."""
-    whole = part.gaussians
-    keep = ~broken(whole) & ~np.isneginf(np.asarray(whole.opacity_logits))
+    whole, keep = part.gaussians, sound_rows(part.gaussians)
     sound = whole if keep.all() else jax.tree.map(lambda leaf: leaf[keep], whole)
     return glb.Mesh(sound) if part.color is None else glb.Mesh(part.color.transform(sound), sound)
+
+
+def sound_rows(gaussians: Gaussians) -> Bool[np.ndarray, " n"]:
+    """Returns the Gaussians that files keep: neither broken ones nor empty slots."""
+    return np.asarray(~broken(gaussians) & ~np.isneginf(np.asarray(gaussians.opacity_logits)))
 
 
 def _unused(name: str, taken: Container[str]) -> str:

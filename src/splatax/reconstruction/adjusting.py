@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from splatax.reconstruction import mapping
 from splatax.reconstruction.calibration import DISTORTION, FOCAL, Free
+from splatax.reconstruction.patches import locate
 from splatax.reconstruction.similarity import similarity_of_cameras
 from splatax.reconstruction.triangulation import DATABASE
 
@@ -22,6 +23,7 @@ LOOSE_ANGLE = 4.0  # degrees: the same for angles, twice COLMAP's
 FEWEST_OBSERVATIONS = 20  # of a photo, below which it keeps its given pose
 FEWEST_OF_LENS = 100  # observations through a lens, below which it stays as given
 OUTLIER = 1.0  # pixels: scale of Cauchy's loss
+OUTLIER_OF_PATCHES = 0.1  # pixels: the same for observations that patches have located
 LARGE = 0.004  # of a photo's diagonal: scale of features from which they are left out where a lens is found
 ENOUGH = 0.5  # of a photo's observations that are of smaller features, for it to do without the others
 
@@ -88,6 +90,30 @@ def adjust(model: "pycolmap.Reconstruction", free: Free, work: Path) -> Part:
     return part
 
 
+def adjust_to_patches(model: "pycolmap.Reconstruction", part: Part, free: Free, work: Path) -> None:
+    """Locates the observations of an adjusted model by their patches, and adjusts the same part to them.
+
+    The centres of features are certain to a twentieth of a pixel, and patches to a hundredth. Photos lose the
+    observations that were not located, if those are fewer than half. If more than half are in all photos
+    together, the model stays as it is.
+
+    Args:
+        model: after `adjust`.
+        part: that was adjusted.
+        free: the parameters to adjust.
+        work: folder of the photos and of the database.
+    """
+    observations = model.compute_num_observations()
+    located = locate(model, work, work / DATABASE)
+    if len(located) < ENOUGH * observations:
+        return
+    for number, image in sorted(model.images.items()):
+        seen = [i for i, point in enumerate(image.points2D) if point.has_point3D()]
+        lost = [i for i in seen if (number, i) not in located]
+        _without_observations(model, number, lost if len(lost) <= (1 - ENOUGH) * len(seen) else [])
+    _solve(model, part, free, OUTLIER_OF_PATCHES)
+
+
 def leave_out_large_features(model: "pycolmap.Reconstruction", work: Path) -> None:
     """Removes observations of large features from the photos that have enough small ones.
 
@@ -102,9 +128,15 @@ def leave_out_large_features(model: "pycolmap.Reconstruction", work: Path) -> No
         seen = np.array([point.has_point3D() for point in image.points2D], bool)
         if np.sum(seen & ~large) < ENOUGH * np.sum(seen):
             continue
-        for feature in np.flatnonzero(seen & large):
-            if image.points2D[feature].has_point3D():  # the point may be gone with another observation
-                model.delete_observation(number, int(feature))
+        _without_observations(model, number, np.flatnonzero(seen & large).tolist())
+
+
+def _without_observations(model: "pycolmap.Reconstruction", number: int, features: Iterable[int]) -> None:
+    """Removes observations of an image from a model."""
+    image = model.images[number]
+    for feature in features:
+        if image.points2D[feature].has_point3D():  # the point may be gone with another observation
+            model.delete_observation(number, feature)
 
 
 def _scales(keypoints: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " n"]:
@@ -115,7 +147,9 @@ def _scales(keypoints: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " n"]:
     return (np.hypot(a11, a21) + np.hypot(a12, a22)) / 2
 
 
-def _solve(model: "pycolmap.Reconstruction", part: Part, free: Free = "poses") -> None:
+def _solve(
+    model: "pycolmap.Reconstruction", part: Part, free: Free = "poses", outlier: float = OUTLIER
+) -> None:
     """Moves the points of a model, and a part of its cameras, so that they agree with the observations."""
     import pycolmap
 
@@ -124,7 +158,7 @@ def _solve(model: "pycolmap.Reconstruction", part: Part, free: Free = "poses") -
     options.refine_focal_length, options.refine_extra_params = free in FOCAL, free in DISTORTION
     options.refine_principal_point = False
     options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
-    options.ceres.loss_function_scale = OUTLIER
+    options.ceres.loss_function_scale = outlier
     options.ceres.solver_options.num_threads = 1  # so that sums have one order
     config = pycolmap.BundleAdjustmentConfig()
     for number, image in sorted(model.images.items()):

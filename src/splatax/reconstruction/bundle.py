@@ -17,6 +17,7 @@ from splatax.dataset import View
 from splatax.packages import required_by
 from splatax.reconstruction.adjusting import (
     adjust,
+    adjust_to_patches,
     error_of,
     features_of,
     loosely_triangulated,
@@ -26,6 +27,7 @@ from splatax.reconstruction.adjusting import (
     without_points,
 )
 from splatax.reconstruction.calibration import (
+    DISTORTION,
     Correction,
     Free,
     adjustable,
@@ -144,6 +146,8 @@ def adjusted_cameras(
             part = adjust(found, free, work)
             if found.compute_num_observations() < MORE * seen:
                 break
+        if free in DISTORTION:
+            adjust_to_patches(found, part, free, work)
         move_back(found, given, part)
         observations = found.compute_num_observations()
         before = error_of(control)

@@ -31,10 +31,10 @@ def similarity_of_cameras(
     spread = np.linalg.norm(b - np.median(b, axis=0), axis=1).max()
     weights = np.ones(len(a))
     for _ in range(ROUNDS):
-        share = weights / weights.sum()
-        middle_a, middle_b = share @ a, share @ b
-        across = share @ np.sum((a - middle_a) ** 2, axis=1)
-        scale = share @ np.sum((a - middle_a) * (b - middle_b), axis=1) / across if across > 0 else 1.0
+        fractions = weights / weights.sum()
+        middle_a, middle_b = fractions @ a, fractions @ b
+        across = fractions @ np.sum((a - middle_a) ** 2, axis=1)
+        scale = fractions @ np.sum((a - middle_a) * (b - middle_b), axis=1) / across if across > 0 else 1.0
         scale = scale if scale > 0 else 1.0
         translation = middle_b - scale * middle_a
         apart = np.linalg.norm(scale * a + translation - b, axis=1)

@@ -99,7 +99,7 @@ def matched(
     pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL.value
     with tempfile.TemporaryDirectory(prefix="splatax-") as folder:
         work = Path(folder)
-        names = [f"{number:06}.jpg" for number in range(len(views))]
+        names = [f"{number:06}.png" for number in range(len(views))]
         masks = write_photos(views, names, work, partial(watch, "reading"))
         model = model_of_cameras(zip(names, (view.camera for view in views), strict=True), calibrated)
         database = work / DATABASE

@@ -1,8 +1,8 @@
 """The views of a run as they are scored one after another, and the pictures of the worst for its report."""
 
 import heapq
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -20,6 +20,21 @@ CONCENTRATED, PART = 0.6, 0.05  # fraction of the squared error that lies in thi
 
 
 @dataclass(frozen=True)
+class Symptoms:
+    """Properties of a photo and of the scene from there, by which a bad score is explained.
+
+    Attributes:
+        sharpness: logarithm of the sharpness of the photo.
+        hazy: true if the scene has much less contrast than the photo.
+        concentrated: true if most of the error lies in a small part of the picture.
+    """
+
+    sharpness: float
+    hazy: bool
+    concentrated: bool
+
+
+@dataclass(frozen=True)
 class Exhibit:
     """A view as a report shows it.
 
@@ -29,8 +44,6 @@ class Exhibit:
         photo: the photo, as a data URI; so are the other pictures.
         image: the scene from there.
         error: map of their difference.
-        hazy: true if the scene has much less contrast than the photo.
-        concentrated: true if most of the error lies in a small part of the picture.
     """
 
     score: ViewScore
@@ -38,8 +51,6 @@ class Exhibit:
     photo: str
     image: str
     error: str
-    hazy: bool
-    concentrated: bool
 
     @property
     def size(self) -> int:
@@ -47,30 +58,52 @@ class Exhibit:
         return len(self.photo) + len(self.image) + len(self.error)
 
 
+@dataclass(frozen=True)
+class Judged:
+    """The photos by which a scene is judged.
+
+    Attributes:
+        scores: of each photo.
+        symptoms: of photos by name, where they are known; there may be some of photos without a score.
+        pictures: the worst view of photos with pictures, by name of the photo, the worst first.
+        best: the view with the highest PSNR; None if it is not known, or is the only one.
+        kind: what the photos are, in words.
+        scene: what the pictures show beside the photos, in words.
+        corrected: true if each PSNR of the scores is the colour-corrected one.
+    """
+
+    scores: Sequence[ViewScore]
+    symptoms: Mapping[str, Symptoms] = field(default_factory=dict)
+    pictures: Mapping[str, Exhibit] = field(default_factory=dict)
+    best: Exhibit | None = None
+    kind: str = "photos"
+    scene: str = "the scene"
+    corrected: bool = False
+
+
 class Gallery:
     """The views of a run, of which only the worst and the best keep their pictures.
 
     Attributes:
         scores: of all views, in the order in which they were seen.
-        sharpness: logarithm of the sharpness of each photo, by name.
-        best: the view with the highest PSNR; None before there are two.
+        symptoms: of all views, by name.
+        best: the view with the highest PSNR; None before the first.
     """
 
     def __init__(self, most: int = MOST, room: int = ROOM):
         """Creates an empty gallery for pictures of `most` views, which may take `room` bytes together."""
         self.scores: list[ViewScore] = []
-        self.sharpness: dict[str, float] = {}
+        self.symptoms: dict[str, Symptoms] = {}
         self.best: Exhibit | None = None
         self._most, self._room = most, room
         self._worst: list[tuple[float, int, Exhibit]] = []  # a heap: the best of the worst comes first
+        self._photos: dict[str, str] = {}  # of faces, by the name of the view
 
     def see(self, comparison: Comparison) -> None:
         """Notes the score of a view, and keeps its pictures if it is among the worst until now."""
         score, number = comparison.score, len(self.scores)
         self.scores.append(score)
-        luminance = shrunk(comparison.photo).astype(np.float32) @ np.array(LUMINANCE, np.float32)
-        flat = min(luminance.shape) < 3
-        self.sharpness[score.name] = float(np.log(max(0.0 if flat else sharpness(luminance), 1e-3)))
+        self.symptoms[score.name] = symptoms_of(comparison)
         rank = -score.psnr, -number
         bad = len(self._worst) < self._most or rank > self._worst[0][:2]
         good = self.best is None or score.psnr >= self.best.score.psnr
@@ -87,14 +120,21 @@ class Gallery:
     def join_faces(self, views: Sequence[View]) -> None:
         """Replaces the scores of the faces of a 360-degree photo by its own, once all views have been seen.
 
-        Pictures stay those of faces.
+        Pictures stay those of faces. The photo is as sharp as its mean face, and looks like its worst.
 
         Args:
             views: all views of the capture.
         """
+        self._photos = {view.name: view.photo for view in views if view.photo != view.name}
+        psnr = {score.name: score.psnr for score in self.scores}
         self.scores = list(scores_of(views, self.scores).views)
-        looks = by_photo(views, self.sharpness)
-        self.sharpness = {photo: float(np.mean(each)) for photo, each in looks.items()}
+        seen = {name: name for name in self.symptoms}
+        joined = {}
+        for photo, faces in by_photo(views, seen).items():
+            worst = self.symptoms[min(faces, key=psnr.__getitem__)]
+            mean = float(np.mean([self.symptoms[face].sharpness for face in faces]))
+            joined[photo] = Symptoms(mean, worst.hazy, worst.concentrated)
+        self.symptoms = joined
 
     @property
     def worst(self) -> list[Exhibit]:
@@ -108,6 +148,15 @@ class Gallery:
             shown.append(exhibit)
         return shown
 
+    @property
+    def judged(self) -> Judged:
+        """The photos seen until now, with the pictures that there are of them."""
+        pictures: dict[str, Exhibit] = {}
+        for each in self.worst:
+            pictures.setdefault(self._photos.get(each.score.name, each.score.name), each)
+        best = self.best if len(self.scores) > 1 else None
+        return Judged(tuple(self.scores), dict(self.symptoms), pictures, best)
+
 
 def exhibited(comparison: Comparison) -> Exhibit:
     """Returns a view with its pictures as a report shows them."""
@@ -117,6 +166,15 @@ def exhibited(comparison: Comparison) -> Exhibit:
         data_uri(comparison.photo),
         data_uri(comparison.image),
         data_uri(error_map(comparison.image, comparison.photo, comparison.mask)),
+    )
+
+
+def symptoms_of(comparison: Comparison) -> Symptoms:
+    """Returns the properties of a view that may explain its score."""
+    luminance = shrunk(comparison.photo).astype(np.float32) @ np.array(LUMINANCE, np.float32)
+    flat = min(luminance.shape) < 3
+    return Symptoms(
+        float(np.log(max(0.0 if flat else sharpness(luminance), 1e-3))),
         _hazy(comparison),
         _concentrated(comparison),
     )
@@ -124,7 +182,8 @@ def exhibited(comparison: Comparison) -> Exhibit:
 
 def _hazy(comparison: Comparison) -> bool:
     def contrast(picture: Picture) -> float:
-        return float(picture[... if comparison.mask is None else comparison.mask].std())
+        counted = picture[... if comparison.mask is None else comparison.mask]
+        return float(counted.std() / max(counted.mean(), 1.0))  # a shorter exposure does not change it
 
     return contrast(comparison.image) < HAZE * contrast(comparison.photo)
 
@@ -133,5 +192,4 @@ def _concentrated(comparison: Comparison) -> bool:
     difference = comparison.image.astype(np.float32) - comparison.photo
     errors = np.sum(difference**2, axis=2)[... if comparison.mask is None else comparison.mask].ravel()
     first = len(errors) - max(round(PART * len(errors)), 1)
-    worst = np.partition(errors, first)[first:]
-    return bool(worst.sum() > CONCENTRATED * errors.sum())
+    return bool(np.partition(errors, first)[first:].sum() > CONCENTRATED * errors.sum())

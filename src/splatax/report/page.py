@@ -7,7 +7,7 @@ from typing import Any
 import jinja2
 
 from splatax.report.curves import training_curves
-from splatax.report.gallery import Gallery
+from splatax.report.gallery import Exhibit, Gallery, Judged
 from splatax.report.pictures import encoded
 from splatax.report.verdict import Verdict
 from splatax.runs.history import History
@@ -22,14 +22,14 @@ class Account:
         notes: lines about the capture.
         verdict: what is good and what is bad; None if nothing could be compared.
         map: picture of the cameras from above, as a data URI.
-        pictured: which photos the pictures show, in words.
+        judged: the photos of which the verdict speaks.
     """
 
     summary: dict[str, str]
     notes: Sequence[str] = ()
     verdict: Verdict | None = None
     map: str = ""
-    pictured: str = "photos"
+    judged: Judged = Judged(())
 
 
 def report(
@@ -45,10 +45,9 @@ def report(
         title: of the run.
         account: what the report says before the curves and the pictures.
         history: record of the run.
-        gallery: the test views, or training views where none are held out.
+        gallery: the test views, or training views where none are held out, for the list of all views.
         animation: a GIF of the run; may be empty.
     """
-    views = gallery.worst
     return fill(
         "page.html",
         title=title,
@@ -56,14 +55,21 @@ def report(
         notes=account.notes,
         verdict=account.verdict,
         map=account.map,
-        pictured=account.pictured,
-        worst=views[0] if views else None,
-        best=gallery.best if len(gallery.scores) > 1 else None,
+        judged=account.judged,
+        worst=_worst(account),
         curves=training_curves(history),
         animation=encoded(animation, "image/gif") if animation else "",
-        views=views,
+        views=gallery.worst,
         scores=sorted(gallery.scores, key=lambda score: score.psnr),
     )
+
+
+def _worst(account: Account) -> Exhibit | None:
+    """Returns the worst photo with pictures, unless a complaint shows one already."""
+    pictures, complaints = account.judged.pictures, account.verdict.bad if account.verdict else ()
+    if any(complaint.photo in pictures for complaint in complaints):
+        return None
+    return next(iter(pictures.values()), None)
 
 
 def fill(template: str, **values: Any) -> str:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from splatax.cameras import Camera, rig
 from splatax.dataset import Dataset
 from splatax.report.next_photos import Spot
 from splatax.report.pictures import encoded
@@ -22,12 +23,13 @@ MATCHED, BAD, UNSCORED, NEXT = "#2a7a3b", "#c62828", "#9e9e9e", "#1565c0"  # col
 def plan(dataset: Dataset) -> str:
     """Plots cameras and points from above and from the side, as a PNG in a data URI.
 
-    Up is the mean direction of the tops of the photos.
+    Up is that of `cameras.rig.up_of`: photos are assumed to be held level.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure  # slow to import
 
-    positions, axes = directions(dataset)
+    cameras = [view.camera for view in dataset.standpoints]
+    positions, axes = rig.positions_of(cameras), rig.axes_of(cameras)
     chosen = np.random.default_rng(0).permutation(len(dataset.points))[:MOST_POINTS]
     cloud, colors = dataset.points.positions[chosen], dataset.points.colors[chosen]
     tested = np.array([view in dataset.test for view in dataset.standpoints])
@@ -36,11 +38,11 @@ def plan(dataset: Dataset) -> str:
     for panel, (title, across, upward) in zip(
         figure.subplots(1, 2), (("from above", 0, 1), ("from the side", 1, 2)), strict=True
     ):
-        pick = np.array(upright_frame(axes))[[across, upward]]
+        pick = upright_frame(cameras)[[across, upward]]
         flat_cloud, flat = cloud @ pick.T, positions @ pick.T
         centre, half = window(flat_cloud, flat)
         panel.scatter(*flat_cloud.T, c=np.clip(colors, 0, 1), s=1.5, linewidths=0)
-        looking = axes[:, 2] @ pick.T * half * ARROW
+        looking = axes @ pick.T * half * ARROW
         for kind, color, label in ((~tested, "C0", "training"), (tested, "C3", "held out")):
             if kind.any():
                 panel.quiver(*flat[kind].T, *looking[kind].T, color=color, width=0.003, **QUIVER)
@@ -67,10 +69,11 @@ def places(dataset: Dataset, good: Mapping[str, bool], spots: Sequence[Spot]) ->
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure  # slow to import
 
-    positions, axes = directions(dataset)
+    cameras = [view.camera for view in dataset.standpoints]
+    positions, axes = rig.positions_of(cameras), rig.axes_of(cameras)
     chosen = np.random.default_rng(0).permutation(len(dataset.points))[:MOST_POINTS]
     cloud, colors = dataset.points.positions[chosen], dataset.points.colors[chosen]
-    ground = upright_frame(axes)[:2]
+    ground = upright_frame(cameras)[:2]
     next_ones = np.array([spot.position for spot in spots]).reshape(-1, 3) @ ground.T
     flat = positions @ ground.T
     centre, half = window(cloud @ ground.T, np.concatenate([flat, next_ones]))
@@ -80,7 +83,7 @@ def places(dataset: Dataset, good: Mapping[str, bool], spots: Sequence[Spot]) ->
     panel.scatter(
         cloud @ ground[0], cloud @ ground[1], c=np.clip(colors, 0, 1), s=1.5, linewidths=0, alpha=0.4
     )
-    looking = axes[:, 2] @ ground.T * half * ARROW
+    looking = axes @ ground.T * half * ARROW
     states = [good.get(view.photo) for view in dataset.standpoints]
     for state, color, label in (
         (None, UNSCORED, "photo"),
@@ -114,23 +117,20 @@ def png(figure: Any) -> str:
 QUIVER: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1}
 
 
-def directions(dataset: Dataset) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 3"]]:
-    """Positions of the cameras of all photos, and their axes right, down and forward, as rows."""
-    cameras = [view.camera for view in dataset.standpoints]
-    positions = np.stack([np.asarray(camera.position, np.float64) for camera in cameras])
-    return positions, np.stack([np.asarray(camera.rotation, np.float64) for camera in cameras])
+def upright_frame(cameras: Sequence[Camera]) -> Float[np.ndarray, "3 3"]:
+    """Returns unit vectors to the right, away from the viewer and up, as rows: the first two span the ground.
 
-
-def upright_frame(axes: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "3 3"]:
-    """Rows: right, away and up, so that the first two span the ground."""
-    up = unit(-axes[:, 1].mean(axis=0), np.array([0.0, -1.0, 0.0]))
-    ahead = axes[:, 2].mean(axis=0)
+    "Away" is the mean direction of view along the ground.
+    """
+    up = rig.up_of(cameras)
+    ahead = rig.axes_of(cameras).mean(axis=0)
     spare = np.eye(3)[np.argmin(np.abs(up))]
     away = unit(ahead - up * (ahead @ up), unit(spare - up * (spare @ up), spare))
     return np.stack([np.cross(away, up), away, up])
 
 
 def unit(vector: Float[np.ndarray, "3"], otherwise: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """Returns a vector scaled to length 1; `otherwise` if it is nearly zero."""
     length = np.linalg.norm(vector)
     return vector / length if length > 1e-6 else otherwise
 

@@ -10,7 +10,7 @@ from splatax.dataset import View, mask_of
 from splatax.evaluation import Scores, score
 from splatax.io.rigs.poses import Posing
 from splatax.metrics import to_8bit
-from splatax.rendering import render
+from splatax.rendering import Color, render
 from splatax.report.gallery import Gallery
 from splatax.report.page import Account, report
 from splatax.runs.budget import duration
@@ -22,7 +22,7 @@ from splatax.training.step import photo_over
 
 
 def posed_comparisons(
-    scene: RiggedScene, posing: Posing, views: Iterable[View], background: tuple[float, float, float]
+    scene: RiggedScene, posing: Posing, views: Iterable[View], background: Color
 ) -> Iterator[Comparison]:
     """Yields each photo that has a pose beside the scene in that pose, with its scores.
 

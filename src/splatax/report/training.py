@@ -1,18 +1,20 @@
-"""The pages of a run: progress.gif and report.html."""
+"""The pages of a run, progress.gif and report.html, and held_out.json for the reports of other runs."""
 
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 
 from splatax.dataset import photos_in
-from splatax.evaluation import Scores, ViewScore
+from splatax.evaluation import Scores
 from splatax.io.datasets.photos import counted
-from splatax.report.gallery import Gallery
+from splatax.report import held_out
+from splatax.report.gallery import Gallery, Judged
 from splatax.report.page import Account, report
 from splatax.report.pictures import animation
 from splatax.report.plan import places
 from splatax.report.verdict import verdict_of
 from splatax.runs.budget import duration
-from splatax.runs.finished import psnr_of
+from splatax.runs.finished import FinishedRun, psnr_of
 from splatax.runs.machine import device, peak_memory
 from splatax.runs.results import Comparison, Results
 
@@ -28,25 +30,67 @@ class Pages:
         self._gallery.see(comparison)
 
     def files(self, results: Results) -> Mapping[str, bytes]:
-        """Returns the animation and the report by the names of their files, the report last."""
+        """Returns the contents of files by their names, the report last."""
         gallery = self._gallery
         gallery.join_faces(results.dataset.views)
         gif = animation(results.history.frames) if results.history.frames else b""
         facts = summary(results, Scores(tuple(gallery.scores)))
-        verdict = verdict_of(results.dataset, gallery, trial_of(results), results.doubted)
+        judged = judged_of(results, gallery.judged)
+        unseen = bool(results.dataset.test or results.judge)
+        verdict = verdict_of(results.dataset, judged, unseen, results.doubted)
         picture = places(results.dataset, verdict.matched, verdict.spots) if verdict else ""
-        pictured = "held-out photos" if results.dataset.test else "photos that it was trained on"
-        account = Account(facts, notes(results), verdict, picture, pictured)
+        account = Account(facts, notes(results), verdict, picture, judged)
         page = report(results.title, account, results.history, gallery, gif)
-        return {"progress.gif": gif, "report.html": page.encode()}
+        kept = {held_out.NAME: held_out.stored(judged)} if results.dataset.test else {}
+        return {"progress.gif": gif} | kept | {"report.html": page.encode()}
 
 
-def trial_of(results: Results) -> list[ViewScore]:
-    """Returns the scores of the photos that the trial run of this run held out; none without one."""
-    if results.judge is None or results.dataset.test:
-        return []
-    views = results.judge.metrics["test"]["views"]
-    return [ViewScore(v["name"], v["psnr"], v["ssim"], v["corrected_psnr"]) for v in views]
+def judged_of(results: Results, seen: Judged) -> Judged:
+    """Returns the photos by which the report judges a run.
+
+    Those of a trial run are also compared in sharpness with the training photos, if their sizes are the same.
+    If the exposure of photos was learned, they are judged by their colour-corrected PSNR: the exposure of a
+    held-out photo is unknown.
+
+    Args:
+        results: of the run.
+        seen: the held-out photos of the run, or training photos where it holds out none.
+
+    Raises:
+        FormatError: if the trial run has a damaged file.
+    """
+    judged = _quoted(results, seen)
+    return corrected(judged) if results.compensates else judged
+
+
+def corrected(judged: Judged) -> Judged:
+    """Returns photos with their colour-corrected PSNR as PSNR, with a picture of the best if there is one."""
+    scores = tuple(replace(score, psnr=score.corrected_psnr) for score in judged.scores)
+    best = max(scores, key=lambda score: score.psnr).name if scores else ""
+    if judged.best is not None and judged.best.score.name != best:
+        judged = replace(judged, best=judged.pictures.get(best))
+    return replace(judged, scores=scores, corrected=True)
+
+
+def _quoted(results: Results, seen: Judged) -> Judged:
+    """Returns the photos by which the report judges a run, with their PSNR as measured."""
+    if results.dataset.test:
+        return replace(seen, kind="held-out photos")
+    if results.judge is None:
+        return replace(seen, kind="photos that it was trained on")
+    trial = replace(
+        held_out.quoted(results.judge),
+        kind="photos that a trial run held out",
+        scene="the scene of the trial run",
+    )
+    if trial.symptoms and same_size(results, results.judge):
+        trial = replace(trial, symptoms={**seen.symptoms, **trial.symptoms})
+    return trial
+
+
+def same_size(results: Results, judge: FinishedRun) -> bool:
+    """Returns whether another run used photos of the same size."""
+    return bool(judge.options.get("downscale") == results.options.get("downscale"))
 
 
 def summary(results: Results, scores: Scores) -> dict[str, str]:
@@ -107,11 +151,11 @@ def notes(results: Results) -> list[str]:
         meaning = f"{trained}, so none of them can show how it looks from other viewpoints."
         return [meaning, *results.dataset.notes]
     seconds, unseen = duration(judge.metrics["train_seconds"]), len(judge.metrics["test"]["views"])
-    same_size = judge.options.get("downscale") == results.options.get("downscale")
+    smaller = "" if same_size(results, judge) else ", with smaller photos"
     meaning = (
-        f"{trained}. The score at the top is that of a trial run of {seconds}"
-        f"{'' if same_size else ', with smaller photos'}, which held out {unseen} of them and was compared "
-        "with these. The scene itself had more time and more photos, so it is usually better."
+        f"{trained}. The score at the top is that of a trial run of {seconds}{smaller}, which held out "
+        f"{unseen} of them and was compared with these. The scene itself had more time and more photos, so "
+        "it is usually better."
     )
     return [
         meaning,

@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -129,6 +130,27 @@ class Checkpoints:
             self._latest = path
         except Exception as error:  # reported by the thread that trains
             self._error = error
+
+
+@dataclass(frozen=True)
+class NotKept:
+    """The checkpoints of a process that does not keep them: it only knows after which steps others save.
+
+    Attributes:
+        steps: between checkpoints; 0 for none.
+    """
+
+    steps: int = 0
+
+    def due(self, step: int) -> bool:
+        """Returns whether another process saves after this step."""
+        return bool(self.steps and step % self.steps == 0)
+
+    def save(self, state: Stoppable, history: History) -> None:
+        """Keeps nothing."""
+
+    def wait(self) -> None:
+        """Returns at once."""
 
 
 def files(run: Path) -> list[Path]:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from splatax.errors import InputError
+from splatax.runs.machine import DECISIVE, versions
 from splatax.runs.records import read_record, typed, understood
 from splatax.training.backgrounds import BACKGROUNDS
 
@@ -120,6 +121,19 @@ def finished(run: Path, names: set[str]) -> tuple[dict[str, Any], list[tuple[int
     made = part_of(path, {"changes": list})["changes"]
     with understood(path, AGAIN):
         return options, [(typed(step, int, "a step"), typed(total, int, "a total")) for step, total in made]
+
+
+def version_changes(run: Path) -> list[str]:
+    """Returns the packages that decide what a step does and had another version in a finished run, in words.
+
+    Args:
+        run: its folder, or the config.json in it.
+    """
+    path = run / "config.json" if run.is_dir() else run
+    then, now = part_of(path, {}, within="versions"), versions()
+    return [
+        f"{name} was {then.get(name)}, is {now[name]}" for name in DECISIVE if then.get(name) != now[name]
+    ]
 
 
 def options_beside(model: Path) -> dict[str, Any]:

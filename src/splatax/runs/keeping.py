@@ -59,6 +59,6 @@ def with_photos_kept(dataset: Dataset, room: Room) -> tuple[Dataset, str]:
     left = f"; {use.photos - use.kept:,} {again}. Allow more: {SIZE}=100GB" if use.kept < use.photos else ""
     line = (
         f"{part} {use.kept:,} of {use.photos:,} are kept decoded on disk: at most {gigabytes(use.size)} in "
-        f"{use.folder}{left}. Remove them: splatax cache --clear"
+        f"{use.folder}{left}"
     )
     return replace(dataset, train=views), line

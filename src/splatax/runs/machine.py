@@ -8,7 +8,10 @@ from pathlib import Path
 
 import jax
 
-PACKAGES = ("splatax", "jax", "jaxlib", "numpy", "optax", "pycolmap")
+import splatax
+
+PACKAGES = ("jax", "jaxlib", "numpy", "optax", "pycolmap")
+DECISIVE = ("splatax", "jax", "jaxlib", "numpy", "optax")  # packages whose version decides what a step does
 
 
 def peak_memory() -> int | None:
@@ -31,7 +34,8 @@ def physical_memory() -> int | None:
 
 def versions() -> dict[str, str]:
     """Returns the versions of Python and of the packages that decide a result."""
-    return {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
+    own = {"python": platform.python_version(), "splatax": splatax.__version__}  # of the code that runs
+    return own | {name: version(name) for name in PACKAGES}
 
 
 def device() -> str:
@@ -40,6 +44,11 @@ def device() -> str:
     if jax.default_backend() == "cpu":
         return f"{cpu_name()}, {os.cpu_count()} threads"
     return f"{len(jax.devices())} x {kind}"
+
+
+def processor() -> str:
+    """Returns the name of the processor whose roundings decide a result: a device, or the CPU."""
+    return cpu_name() if jax.default_backend() == "cpu" else str(jax.devices()[0].device_kind)
 
 
 def cpu_name() -> str:

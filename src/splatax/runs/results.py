@@ -19,8 +19,9 @@ from splatax.gaussians import Gaussians
 from splatax.geometry_scores import as_json as as_json_of_geometry
 from splatax.geometry_scores import evaluate_geometry
 from splatax.io import formats
-from splatax.io.datasets import colmap_writing
+from splatax.io.datasets import colmap_writing, motions
 from splatax.io.files import explained, write_whole
+from splatax.rendering import Color
 from splatax.runs.checkpoints import Checkpoints, files
 from splatax.runs.finished import FinishedRun
 from splatax.runs.history import Evaluation, History, Picture
@@ -197,9 +198,8 @@ class Results:
         state = self.last.train
         found = refined(self.recipe.camera_refinement, state.cameras, self.dataset.train, state.extent)
         colmap_writing.save(self.out / "refined", (*found, *self.dataset.test), self.dataset.points)
-        motions = {view.name: view.camera.motion for view in found}
-        if twists := {name: np.asarray(motion.twist).tolist() for name, motion in motions.items() if motion}:
-            write_json(self.out / "refined" / "motions.json", twists)
+        if moved := motions.contents_for((*found, *self.dataset.test)):
+            write_json(self.out / "refined" / motions.FILE, moved)
 
 
 @runtime_checkable
@@ -262,10 +262,10 @@ def examples(views: Sequence[View]) -> Sequence[View]:
     return [view.as_taken() for view in views[:: -(-len(views) // SHOWN) or 1]]
 
 
-def protocol(background: tuple[float, float, float], dataset: Dataset) -> dict[str, str]:
+def protocol(background: Color, dataset: Dataset) -> dict[str, str]:
     """Returns how the scores of a capture's held-out photos are made, in words."""
     split = f"held out: {dataset.split or 'as given'}"
-    return {"split": split, **PROTOCOL, "background": str(background)}
+    return {"split": split, **PROTOCOL, "background": str(tuple(float(value) for value in background))}
 
 
 def scores_as_json(scores: Scores) -> dict[str, Any]:

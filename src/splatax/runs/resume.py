@@ -10,16 +10,15 @@ from splatax.dataset import Dataset
 from splatax.errors import FormatError, InputError
 from splatax.runs.checkpoints import FOLDER, files
 from splatax.runs.history import History, unpacked
-from splatax.runs.machine import device, versions
+from splatax.runs.machine import DECISIVE, device, versions
 from splatax.runs.records import as_json, understood
 from splatax.training import checkpoint
 from splatax.training.checkpoint import Checkpoint
+from splatax.training.fingerprints import fingerprint
 from splatax.training.loop import RunState
 from splatax.training.recipes import Recipe
 
 Run = TypeVar("Run")
-DECISIVE = ("splatax", "jax", "jaxlib", "numpy", "optax")  # packages whose version decides what a step does
-
 FACTS = {"options": dict, "recipe": dict, "capture": dict, "versions": dict, "device": str}
 TRAIN = "train"  # the command of runs that do not name theirs among their options
 OTHER = "Resume from another one in its folder, or start the run again."
@@ -99,7 +98,7 @@ def facts(options: Mapping[str, Any], recipe: Recipe, dataset: Dataset) -> dict[
     return {
         "options": as_json(options),
         "recipe": as_json(recipe),
-        "capture": checkpoint.fingerprint(dataset),
+        "capture": fingerprint(dataset),
         "versions": {name: versions()[name] for name in DECISIVE},
         "device": device(),
     }

@@ -13,7 +13,7 @@ from splatax.errors import InputError
 from splatax.evaluation import evaluate, picture
 from splatax.io.files import explained
 from splatax.runs.budget import Changes
-from splatax.runs.checkpoints import Checkpoints
+from splatax.runs.checkpoints import Checkpoints, NotKept
 from splatax.runs.history import Evaluation, History, shrunk
 from splatax.training.loop import Progress, RunState, optimize
 from splatax.training.recipes import Recipe
@@ -63,7 +63,7 @@ class Session:
 
     dataset: Dataset
     recipe: Recipe
-    checkpoints: Checkpoints
+    checkpoints: Checkpoints | NotKept
     history: History = field(default_factory=History)
     changes: Changes = field(default_factory=Changes)
     eval_every: int = 0
@@ -162,6 +162,19 @@ class Session:
         faults = state.train.faults
         self.history.bad_steps, self.history.broken = int(faults.steps), int(faults.gaussians)
         self.last = state
+
+
+class Following(Session):
+    """A run in a process that makes the steps with others, and leaves evaluation and pictures to process 0.
+
+    Process 0 gathers the scene for them from the devices of all processes, which therefore all take part.
+    """
+
+    def _take_picture(self, progress: Progress) -> None:
+        _ = progress.padded
+
+    def _evaluate(self, progress: Progress) -> None:
+        _ = progress.padded
 
 
 def all_made(state: RunState) -> bool:

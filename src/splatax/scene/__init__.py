@@ -3,6 +3,7 @@
 from splatax.scene.colors import ColorMap as ColorMap
 from splatax.scene.parts import Part as Part
 from splatax.scene.parts import Scene as Scene
+from splatax.scene.rigged import AnimatedScene as AnimatedScene
 from splatax.scene.rigged import RiggedScene as RiggedScene
 from splatax.scene.seen import Drawable as Drawable
 from splatax.scene.skeleton import Pose as Pose

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from splatax.errors import InputError, shown
 from splatax.math import quaternions
+from splatax.transforms import Similarity
 
 Vector = Float[Array, "3"] | Float[np.ndarray, "3"] | Sequence[float]
 
@@ -87,6 +88,14 @@ class Skeleton:
             listed = ", ".join(self.names)
             raise InputError(f"no joint is called {shown(name)}. The joints are {shown(listed, 300)}.")
         return self.names.index(name)
+
+    def moved(self, place: Similarity) -> "Skeleton":
+        """Returns the skeleton in a world that a similarity transforms, with the bound pose."""
+        binds = np.asarray(self.inverse_binds, np.float64) @ place.inverse().matrix
+        root = place.matrix @ np.asarray(self.root, np.float64)
+        return replace(
+            self, inverse_binds=jnp.asarray(binds, jnp.float32), root=jnp.asarray(root, jnp.float32)
+        )
 
     def turned(self, rotations: Mapping[str, Vector], pose: Pose | None = None) -> Pose:
         """Returns a pose with some joints turned about their own axes.

@@ -7,8 +7,36 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from splatax.backends.protocol import Photometric
+from splatax.cameras import Camera
 from splatax.losses import photometric_on_canvas
 from splatax.splats import Splats
+
+
+def inside(frame: Float[Array, "2"], width: int, height: int) -> Bool[Array, "h w"]:
+    """Returns which pixels of a canvas the view fills.
+
+    Args:
+        frame: width and height of the view, pixels.
+        width, height: size of the canvas, pixels.
+    """
+    columns, rows = (
+        jnp.arange(side, dtype=frame.dtype) + 0.5 < end
+        for side, end in zip((width, height), frame, strict=True)
+    )
+    return rows[:, None] & columns[None]
+
+
+def mean_over(values: Float[Array, "h w"], camera: Camera) -> Float[Array, ""]:
+    """Returns the mean over the pixels of a view; those of a canvas beyond its frame do not count.
+
+    Args:
+        values: one for each pixel of the camera's image; any number beyond the frame.
+        camera: of the view.
+    """
+    if camera.frame is None:
+        return jnp.mean(values)
+    counts = inside(camera.frame, camera.width, camera.height)
+    return jnp.sum(jnp.where(counts, values, 0)) / jnp.sum(counts, dtype=values.dtype)
 
 
 def filling(splats: Splats, d_splats: Splats, frame: Float[Array, "2"] | None) -> tuple[Splats, Splats]:
@@ -54,11 +82,7 @@ def on_canvas(
     if frame is None:
         return mask, kernel
     height, width = photo.shape[:2]
-    columns, rows = (
-        jnp.arange(side, dtype=frame.dtype) + 0.5 < end
-        for side, end in zip((width, height), frame, strict=True)
-    )
-    counts = rows[:, None] & columns[None]
+    counts = inside(frame, width, height)
     if mask is not None:
         counts &= mask
     return counts, partial(photometric_on_canvas, frame=frame, kernel=kernel)

@@ -4,7 +4,6 @@ A file is an uncompressed `.npz`: one array for each leaf of the state, named by
 in JSON. Every member carries a CRC-32, so a file that was cut short or has a flipped bit is refused.
 """
 
-import hashlib
 import json
 import zipfile
 from collections.abc import Mapping
@@ -17,7 +16,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from splatax.dataset import Dataset
 from splatax.errors import FormatError
 from splatax.gaussians import Gaussians
 from splatax.math import harmonics
@@ -170,27 +168,6 @@ def _read(file: BinaryIO) -> Checkpoint:
     return Checkpoint(header, arrays)
 
 
-def fingerprint(dataset: Dataset) -> dict[str, Any]:
-    """Returns digests of a capture as JSON values: of names and sizes of photos, cameras and points.
-
-    The contents of the photos are not read.
-    """
-    views = dataset.train + dataset.test
-    sizes = [(view.name, view.camera.width, view.camera.height, view.mask is not None) for view in views]
-    cameras = [np.asarray(leaf) for view in views for leaf in jax.tree.leaves(view.camera)]
-    lenses = "".join(type(view.camera.lens).__name__ for view in views)  # some have no numbers
-    own = dataset.block
-    parts = (own.start, own.context, own.fraction) if own else ()
-    block = [np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(parts)]
-    return {
-        "photos": f"{len(dataset.train)} to train on and {len(dataset.test)} held out",
-        "names, sizes and masks of photos": _digest(repr(sizes).encode()),
-        "cameras": _digest(lenses.encode(), *(array.tobytes() for array in cameras)),
-        "points": f"{len(dataset.points)}, "
-        + _digest(dataset.points.positions.tobytes(), dataset.points.colors.tobytes()),
-    } | ({"block": _digest(*block)} if block else {})
-
-
 def name_of(path: tuple[Any, ...]) -> str:
     """Returns the name of a leaf of the state in the file."""
     return STATE + jax.tree_util.keystr(path, simple=True, separator="/")
@@ -224,10 +201,3 @@ def _as(array: np.ndarray, expected: jax.ShapeDtypeStruct, name: str) -> jax.Arr
 
 def _is_key(leaf: Any) -> bool:
     return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
-
-
-def _digest(*parts: bytes) -> str:
-    digest = hashlib.sha256()
-    for part in parts:
-        digest.update(part)
-    return digest.hexdigest()[:16]

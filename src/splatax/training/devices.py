@@ -78,6 +78,22 @@ class Dealt:
 
     mesh: Mesh
 
+    @property
+    def by_processes(self) -> bool:
+        """True if the devices are those of several processes."""
+        return len({device.process_index for device in self.mesh.devices.flat}) > 1
+
+    def connect(self) -> None:
+        """Connects the devices by a sum over them, to which all processes come at the same time.
+
+        Processes wait 30 s for each other at their first collective operation and 30 minutes at later ones,
+        and a step may take longer to compile on one of them.
+        """
+        ones = self.views(np.ones(len(self.drawn_here(self.mesh.size)), np.float32), self.mesh.size)
+        total = partial(lax.psum, axis_name=AXIS)
+        summed = jax.jit(jax.shard_map(total, mesh=self.mesh, in_specs=VIEWS, out_specs=EVERYWHERE))
+        jax.block_until_ready(summed(ones))
+
     def placed(self, state: TrainState) -> TrainState:
         """Copies a state whose rows are in order onto the devices; empty slots fill up the blocks.
 

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from splatax.outputs import Output
+from splatax.training.canvases import mean_over
 from splatax.training.geometry import FACING, LAYERS, inconsistency
 from splatax.training.objectives import TrainingView
 
@@ -42,7 +43,7 @@ class DiscGeometry:
     def __call__(self, images: Mapping[str, Any], seen: TrainingView) -> Float[Array, ""]:
         """Returns the sum of the penalties; see `splatax.training.protocols.Geometry`."""
         layers = images["layers"]
-        distortion = jnp.mean(layers.scatter)
+        distortion = mean_over(layers.scatter, seen.camera)
         normals = inconsistency(images["facing"], layers.depth, seen.camera)
         return (
             jnp.where(seen.progress >= self.distortion_from, self.distortion, 0) * distortion

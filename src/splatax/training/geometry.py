@@ -25,9 +25,10 @@ from splatax.backends.protocol import Kernels
 from splatax.cameras import Camera
 from splatax.drawn import Drawn, Seen, planes_of, unrolled
 from splatax.outputs import Output
-from splatax.stages import composite
+from splatax.pipeline import composite
 from splatax.surface_outputs import from_middle, surface_channels, surface_depth
 from splatax.surfaces import normals_of
+from splatax.training.canvases import mean_over
 from splatax.training.objectives import TrainingView
 
 LEAST_VARIANCE = 1e-8  # of relative depth, below which float32 cannot tell it from zero
@@ -79,7 +80,7 @@ class Surfaces:
     def __call__(self, images: Mapping[str, Any], seen: TrainingView) -> Float[Array, ""]:
         """Returns the sum of the penalties; see `splatax.training.protocols.Geometry`."""
         depth, spread, _ = images["layers"]
-        penalty = self.spread * jnp.mean(saturated(spread, self.spread_limit))
+        penalty = self.spread * mean_over(saturated(spread, self.spread_limit), seen.camera)
         if self.consistency:
             penalty += self.consistency * inconsistency(images["facing"], depth, seen.camera)
         if self.points and seen.landmarks is not None:
@@ -114,7 +115,7 @@ def inconsistency(
     normal = normals_of(camera, depth)
     exists = jnp.any(normal != 0, axis=-1)
     cosine = jnp.sum(facing[..., :3] * normal, axis=-1)
-    return jnp.mean(jnp.where(exists, facing[..., 3] - cosine, 0))
+    return mean_over(jnp.where(exists, facing[..., 3] - cosine, 0), camera)
 
 
 def error_at(
@@ -131,6 +132,7 @@ def error_at(
         limit: to which the error of a point tends, see `saturated`.
     """
     ahead = camera.position + camera.rotation[2]
+    width, height = camera.size
 
     def one(point):
         known = jnp.all(jnp.isfinite(point))
@@ -139,7 +141,7 @@ def error_at(
         local = camera.to_camera(jnp.where(seen, point, ahead))
         x, y = camera.to_pixel(local) - 0.5  # in pixels from the centre of the first
         left, top = jnp.floor(x), jnp.floor(y)
-        inside = seen & (left >= 0) & (top >= 0) & (left < camera.width - 1) & (top < camera.height - 1)
+        inside = seen & (left >= 0) & (top >= 0) & (left < width - 1) & (top < height - 1)
         row, column = (jnp.where(inside, number, 0).astype(jnp.int32) for number in (top, left))
         corners = jax.lax.dynamic_slice(depth, (row, column), (2, 2))
         counts = inside & jnp.all(corners > 0)
@@ -227,7 +229,8 @@ def drawn(
         kernels: kernels that blend the channels.
     """
     ends = np.cumsum([values.shape[1] for values in channels.values()])
-    sums, alpha = composite(seen.splats, jnp.concatenate(list(channels.values()), axis=1), backend=kernels)
+    stacked = jnp.concatenate(list(channels.values()), axis=1)
+    sums, alpha = composite(seen.splats, stacked, kernels)
     view = Drawn(None, alpha, None, seen, jnp.zeros(3, sums.dtype))
     return {
         name: outputs[name].finish(view._replace(sums=part))

@@ -1,22 +1,39 @@
 """The views of training steps that use several: groups of photos of one size, in random order, read ahead."""
 
 import math
+from collections import deque
 from collections.abc import Hashable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from itertools import count, islice
+from typing import NamedTuple
 
 import jax
 import numpy as np
 
+from splatax.ahead import cores
 from splatax.cameras import Camera
 from splatax.dataset import Pixels, View
 from splatax.training.comparison import Views
 from splatax.training.devices import Dealt
-from splatax.training.feed import landmarks_of, order, sources
+from splatax.training.feed import READERS, landmarks_of, order, sources
 from splatax.training.photo_cache import Frame, PhotoCache, with_alpha
 from splatax.training.protocols import ResolutionSchedule, Source
 from splatax.training.recipes import Recipe
+
+
+class Begun(NamedTuple):
+    """A step whose photos are being read."""
+
+    group: list[int]
+    divisor: int
+    frames: list[Future[Frame]]  # of the views that this process draws
+    views: Future[Views]  # on the devices
+
+    def cancel(self) -> None:
+        """Reads no photo whose reading has not begun."""
+        for frame in self.frames:
+            frame.cancel()
 
 
 def steps_of(
@@ -29,7 +46,8 @@ def steps_of(
 ) -> Iterator[Views]:
     """Yields the views of each step, without end; the next ones are read while the caller trains.
 
-    A process reads only the photos that its own devices draw.
+    A process reads only the photos that its own devices draw, in as many threads as it has cores. They read
+    ahead by one step, or by as many as give each thread a photo.
 
     Args:
         views: the training views, at least one.
@@ -44,36 +62,44 @@ def steps_of(
     known = landmarks_of(views) if recipe.objective.geometry.outputs else None
     size = recipe.views
     here = dealt.drawn_here(size)
+    readers = min(cores(), READERS)
+    most_ahead = -(-readers // max(len(here), 1))  # steps
 
     def divisor_at(step: int, group: list[int]) -> int:
         camera = views[group[0]].camera
         return resolution.divisor(step, (camera.width, camera.height))
 
-    def read(group: list[int], divisor: int) -> Views:
-        frames = [cache.frame(group[place], divisor) for place in here]
+    def sent(group: list[int], divisor: int, frames: list[Future[Frame]]) -> Views:
         cameras = [cache.camera(index, divisor) for index in group]
-        sent = _sent(cameras, [origin[i] for i in group], frames, divisor, dealt)
+        read = [frame.result() for frame in frames]
+        views = _sent(cameras, [origin[i] for i in group], read, divisor, dealt)
         if known is None:
-            return sent
-        return replace(sent, landmarks=dealt.views(known[[group[place] for place in here]], size))
+            return views
+        return replace(views, landmarks=dealt.views(known[[group[place] for place in here]], size))
 
     groups = islice(
         grouped([cache.kind(index) for index in range(len(views))], size, recipe.seed), start, None
     )
-    with ThreadPoolExecutor(1) as reader:
+    with ThreadPoolExecutor(readers) as pool, ThreadPoolExecutor(1) as sender:
 
-        def ahead_of(step: int) -> tuple[list[int], int, Future[Views]]:
-            group = next(groups)
-            divisor = divisor_at(step, group)
-            return group, divisor, reader.submit(read, group, divisor)
+        def begun(group: list[int], divisor: int) -> Begun:
+            frames = [pool.submit(cache.frame, group[place], divisor) for place in here]
+            return Begun(group, divisor, frames, sender.submit(sent, group, divisor, frames))
 
-        ahead = ahead_of(start + 1)
-        for step in count(start + 1):
-            group, divisor, ready = ahead
-            if divisor != (wanted := divisor_at(step, group)):
-                ready = reader.submit(read, group, wanted)
-            ahead = ahead_of(step + 1)
-            yield ready.result()
+        ahead: deque[Begun] = deque()
+        try:
+            for step in count(start + 1):
+                for later in range(step + len(ahead), step + most_ahead + 1):
+                    group = next(groups)
+                    ahead.append(begun(group, divisor_at(later, group)))
+                now = ahead.popleft()
+                if now.divisor != (wanted := divisor_at(step, now.group)):
+                    now.cancel()
+                    now = begun(now.group, wanted)
+                yield now.views.result()
+        finally:
+            for later_one in ahead:
+                later_one.cancel()
 
 
 def grouped(kinds: Sequence[Hashable], size: int, seed: int) -> Iterator[list[int]]:

@@ -177,7 +177,7 @@ class FromBlock:
         if start.sh_degree > sh_degree:
             raise DatasetError(
                 f"The coarse scene has colours of SH degree {start.sh_degree}, the recipe of {sh_degree}. "
-                "Reduce those of the scene: splatax export --sh-degree."
+                "Reduce those of the scene first (splatax.editing.reduce_degree, or splatax export)."
             )
         more = harmonics.count(sh_degree) - start.sh.shape[1]
         return replace(start, sh=jnp.pad(start.sh, ((0, 0), (0, more), (0, 0))), low_pass=Gaussians.low_pass)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +16,7 @@ from splatax.gaussians import Gaussians
 from splatax.low_pass import LowPass
 from splatax.training.capacity import bucket_for, pad, without_broken
 from splatax.training.feed import rows_for
+from splatax.training.fingerprints import facts_of
 from splatax.training.initialize import require_visible
 from splatax.training.optimizer import inherit
 from splatax.training.recipes import Recipe
@@ -118,6 +120,7 @@ def optimize(
 
     Raises:
         DatasetError: if there are no training views, or nothing to start from that they see.
+        InputError: if processes that make the steps together have other settings, captures or states.
         ValueError: if the recipe has no steps, none are left, its backend is not available, or the devices do
             not divide the views of a step.
     """
@@ -133,6 +136,7 @@ def optimize(
         state = first_state(padded, recipe, dataset.extent, rows_for(dataset.train))
         start = RunState(state, len(gaussians))
     stepper = stepper_for(recipe, devices, dataset.block)
+    stepper.meet(partial(facts_of, recipe, dataset, start.train))
     yield from _steps(dataset, recipe, start, pace or (lambda step: None), photo_room, stepper)
 
 

@@ -13,7 +13,6 @@ import optax
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt32
 
-from splatax import backends
 from splatax.backends.protocol import PullAndMove, PulledView
 from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
@@ -102,12 +101,12 @@ def by_kernel(
         rule: as `rule_of`.
         keys: of the noise, for each block of rows.
         block: number of rows that share a key.
-        recipe: the settings; the backend is resolved already.
+        recipe: the settings.
     """
     assert rows.gradients is not None
     adam, *_ = rows.opt_state
     step = _numbers(rows, pace, keys)
-    move = backends.resolve(recipe.drawing.backend).move
+    move = recipe.drawing.kernels.move
     gaussians, moments = move(rows.gaussians, rows.gradients, Moments(adam.mu, adam.nu), step, rule, block)
     return gaussians, _after(rows, step, moments)
 
@@ -136,7 +135,7 @@ def by_view(camera: Camera, low_pass: LowPass, noise_key: PRNGKeyArray, recipe: 
     rule = rule_of(recipe)
     if rule is None or not draws_as_kernels(noise_key) or recipe.objective.geometry.outputs:
         return None
-    kernel = backends.resolve(recipe.drawing.backend).moved_at_once(camera, low_pass)
+    kernel = recipe.drawing.kernels.moved_at_once(camera, low_pass)
     return None if kernel is None else ByView(kernel, rule)
 
 

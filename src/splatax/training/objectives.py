@@ -120,7 +120,9 @@ class Geometry(Hashable, Protocol):
         """Returns the penalty, differentiable in the images. Runs under `jit`, and only if there are some.
 
         Args:
-            images: the outputs by name.
+            images: the outputs by name. Photos of many sizes are drawn on canvases: what lies beyond
+                `Camera.frame` is not defined and must not count; see
+                `splatax.training.canvases.mean_over`.
             seen: the view that they show.
         """
         ...

@@ -21,7 +21,7 @@ from splatax.training.disc_geometry import DiscGeometry
 from splatax.training.geometry import NoGeometry
 from splatax.training.initialize import Discs, FromPoints, InFrusta
 from splatax.training.noise import Langevin
-from splatax.training.optimizer import Adam, LearningRates, Optimizer, ViewDepth
+from splatax.training.optimizer import Adam, Optimizer, ViewDepth, rates_for
 from splatax.training.photo_weights import EqualWeights
 from splatax.training.priors import NoPrior, Sparsity
 from splatax.training.protocols import (
@@ -67,11 +67,31 @@ class Objective:
 
 @dataclass(frozen=True)
 class Drawing:
-    """The way in which steps draw the scene that they compare with photos."""
+    """The way in which steps draw the scene that they compare with photos.
+
+    Attributes:
+        background: the colour behind the scene, and behind transparent photos.
+        low_pass: the filter.
+        backend: "auto" or the name of a backend, which a trainer looks up before its first step; or kernels.
+    """
 
     background: Background = Solid()
     low_pass: LowPass = Dilation()
     backend: str | Kernels = "auto"
+
+    @property
+    def kernels(self) -> Kernels:
+        """The kernels. Steps take them from here, so that traced code cannot look a backend up.
+
+        Raises:
+            ValueError: if the backend is still a name.
+        """
+        if isinstance(self.backend, Kernels):
+            return self.backend
+        raise ValueError(
+            f"the recipe names the backend {self.backend!r}, but a step needs its kernels: look them up "
+            f"once, recipe.on(splatax.backends.resolve({self.backend!r}))."
+        )
 
 
 @dataclass(frozen=True)
@@ -208,29 +228,6 @@ def discs(steps: int = 30_000, max_gaussians: int = 1_000_000, views: int = 1) -
     )
 
 
-def rates_for(steps: int) -> LearningRates:
-    """Returns learning rates for a run of this length: the authors', raised if it is short.
-
-    At 2,000 steps, the rate of the means is 12 times that of the authors. The factor falls with the square
-    root of the number of steps, down to the authors' rates, which are for 30,000 steps. Runs of fewer
-    than 500 steps get the rates of 500.
-    """
-    authors, haste = LearningRates(), math.sqrt(2_000 / max(steps, 500))
-
-    def raised(rate: float, by: float) -> float:
-        return rate * max(by * haste, 1.0)
-
-    return LearningRates(
-        means=raised(authors.means, 12.0),
-        means_final=raised(authors.means_final, 12.0),
-        sh_dc=raised(authors.sh_dc, 3.0),
-        sh_rest=raised(authors.sh_rest, 3.0),
-        opacity_logits=authors.opacity_logits,
-        log_scales=raised(authors.log_scales, 4.5),
-        quats=raised(authors.quats, 6.0),
-    )
-
-
 PIXELS_PER_GAUSSIAN = 8  # of one photo
 MOST = 1_000_000  # Gaussians of a capture of up to `MANY` photos
 MANY = 1_000  # photos
@@ -276,12 +273,15 @@ class Preset:
         random_start: initialization for captures without points.
         plannable: whether `splatax.runs.budget` can choose the steps for a given time: its model of the time
             that a run takes is for this recipe.
+        weighs_photos: whether photos that do not fit the others get a lower weight by default. Density
+            control must not reset opacities then: a reset raises the losses of the photos that come next.
     """
 
     build: Callable[..., Recipe]
     max_gaussians: Callable[[Dataset], int] = room_for
     random_start: InFrusta | Discs = InFrusta()
     plannable: bool = False
+    weighs_photos: bool = False
 
 
 def authors_limit(dataset: Dataset) -> int:
@@ -294,5 +294,7 @@ PRESETS = {
     "absgrad": Preset(absgrad, authors_limit),
     "mcmc": Preset(mcmc, random_start=InFrusta(opacity=0.5, scale=0.1)),
     "2dgs": Preset(discs, random_start=Discs(InFrusta(opacity=0.5))),
-    "default": Preset(default, random_start=InFrusta(opacity=0.5, scale=0.1), plannable=True),
+    "default": Preset(
+        default, random_start=InFrusta(opacity=0.5, scale=0.1), plannable=True, weighs_photos=True
+    ),
 }

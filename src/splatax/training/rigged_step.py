@@ -9,12 +9,11 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, Int
 
-from splatax import backends
+from splatax import pipeline
 from splatax.gaussians import Gaussians
 from splatax.outputs import over
 from splatax.scene.skeleton import Pose, spun
 from splatax.scene.skin import Rig, skin
-from splatax.stages import composite, project
 from splatax.training import per_photo
 from splatax.training.camera_refinement import FINAL_RATE
 from splatax.training.feed import Batch
@@ -99,7 +98,7 @@ def rig_step(
     """Makes one step with one photo, and returns the state and the loss."""
     background_key, noise_key = jax.random.split(jax.random.fold_in(settings.key, state.step))
     background = recipe.drawing.background.sample(background_key)
-    kernels = backends.resolve(recipe.drawing.backend)
+    kernels = recipe.drawing.kernels
     photo = photo_over(batch.photo, background)
     pose = settings.which[batch.source.view]
     low_pass = filtered(recipe.drawing.low_pass, batch.divisor)
@@ -108,11 +107,11 @@ def rig_step(
         rig = replace(settings.rig, indices=state.indices, weights=jax.nn.softmax(logits, axis=1))
         given = jax.tree.map(lambda leaf: leaf[pose], settings.poses)
         joints = rig.skeleton.worlds(spun(given, turns.reshape(-1, 3)))
-        splats = project(skin(gaussians, rig, joints), batch.camera, low_pass=low_pass, backend=kernels)
+        splats = pipeline.project(skin(gaussians, rig, joints), batch.camera, low_pass, kernels)
         return recipe.density.watch(splats)
 
     def image_loss(splats):
-        sums, alpha = composite(splats, splats.colors, backend=kernels)
+        sums, alpha = pipeline.composite(splats, splats.colors, kernels)
         return recipe.objective.loss(over(sums, alpha, background), photo, batch.mask, kernels.photometric)
 
     parameters = state.gaussians, state.logits, state.turns.values[pose]

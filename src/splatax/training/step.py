@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt8
 
-from splatax import backends
+from splatax import pipeline
 from splatax.backends.protocol import PulledView
 from splatax.cameras import Camera
 from splatax.drawn import Seen, unrolled
@@ -18,7 +18,6 @@ from splatax.gaussians import Gaussians
 from splatax.low_pass import LowPass
 from splatax.outputs import over
 from splatax.splats import Splats, joined
-from splatax.stages import composite, project
 from splatax.training import geometry
 from splatax.training.canvases import filling, on_canvas
 from splatax.training.feed import Batch
@@ -71,8 +70,10 @@ class TrainState:
 def train_step(state: TrainState, batch: Batch, recipe: Recipe) -> tuple[TrainState, Float[Array, ""]]:
     """Makes one step on one view, and returns the new state and the loss.
 
-    The old state is donated: it cannot be used afterwards. The backend named by the recipe must be
-    resolved already.
+    The old state is donated: it cannot be used afterwards.
+
+    Raises:
+        ValueError: if the recipe names its backend, instead of holding the kernels; see `Drawing.kernels`.
     """
     # Numbers that depend on the length of the run are inputs of the program, so that runs of all lengths
     # share one program, in this process and in the compilation cache.
@@ -234,8 +235,8 @@ def beside(view: Shown, context: Shown | None) -> Shown:
 def shown(gaussians: Gaussians, camera: Camera, recipe: Recipe, divisor: int) -> Shown:
     """Projects a scene, or a part of it, for a photo that is smaller by `divisor`."""
     low_pass = filtered(recipe.drawing.low_pass, divisor)
-    kernels = backends.resolve(recipe.drawing.backend)
-    splats = project(gaussians, camera, low_pass=low_pass, backend=kernels)
+    kernels = recipe.drawing.kernels
+    splats = pipeline.project(gaussians, camera, low_pass, kernels)
     seen = Seen(splats, gaussians, camera, kernels=kernels)
     channels = geometry.channels(recipe.objective.geometry.outputs, seen)
     return Shown(recipe.density.watch(splats), channels)
@@ -252,8 +253,8 @@ def weighted_loss(
 def image_loss(view: Shown, appearance: Any, target: Target, recipe: Recipe) -> Float[Array, ""]:
     """Draws a view in the colours of its photo, and returns the loss."""
     view = beside(view, target.context)
-    kernels, objective = backends.resolve(recipe.drawing.backend), recipe.objective
-    sums, alpha = composite(view.splats, view.splats.colors, backend=kernels)
+    kernels, objective = recipe.drawing.kernels, recipe.objective
+    sums, alpha = pipeline.composite(view.splats, view.splats.colors, kernels)
     image = over(recipe.appearance(appearance, sums, alpha), alpha, target.background)
     photo = photo_over(target.photo, target.background)
     loss = objective.loss(

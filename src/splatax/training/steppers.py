@@ -1,6 +1,6 @@
 """Makers of steps: on one view by one device, or on several views by several devices."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, runtime_checkable
 
@@ -16,6 +16,7 @@ from splatax.training.devices import Dealt, devices_for
 from splatax.training.feed import Batch, batches
 from splatax.training.groups import steps_of
 from splatax.training.photo_cache import PhotoCache
+from splatax.training.processes import require_alike
 from splatax.training.protocols import ResolutionSchedule
 from splatax.training.recipes import Recipe
 from splatax.training.schedule import Schedule
@@ -29,6 +30,17 @@ MOST_PROGRAMS = 4  # of training steps for a scene of one size; one takes second
 @runtime_checkable
 class Stepper(Protocol):
     """Feeds and makes steps, and knows where the arrays of a run live."""
+
+    def meet(self, facts: Callable[[], Mapping[str, str]]) -> None:
+        """Waits for the other processes that make the steps, if there are any, before the first one.
+
+        Args:
+            facts: returns what decides the run, in short texts by what they are about.
+
+        Raises:
+            InputError: if the facts of the processes differ.
+        """
+        ...
 
     def placed(self, state: TrainState) -> TrainState:
         """Returns a state for `step`, from one whose rows are in order."""
@@ -59,6 +71,9 @@ class OneView:
 
     surroundings: Mapping[str, Any] = field(default_factory=dict)
 
+    def meet(self, facts: Callable[[], Mapping[str, str]]) -> None:
+        """Returns at once."""
+
     def placed(self, state: TrainState) -> TrainState:
         """Returns the state as it is."""
         return state
@@ -71,7 +86,7 @@ class OneView:
         self, views: Sequence[View], recipe: Recipe, done: int, schedule: Schedule, room: int | float
     ) -> Iterator[Batch]:
         """Yields one view after the other."""
-        photos = PhotoCache(views, room, canvases_of(views, recipe, schedule))
+        photos = PhotoCache(views, room, canvases_of(views, schedule))
         geometry = bool(recipe.objective.geometry.outputs)
         return batches(views, recipe.seed, done, schedule, photos, geometry)
 
@@ -92,6 +107,12 @@ class SeveralViews:
     dealt: Dealt
     surroundings: Mapping[str, Any] = field(default_factory=dict)
 
+    def meet(self, facts: Callable[[], Mapping[str, str]]) -> None:
+        """Compares facts with the processes of the other devices, and connects the devices."""
+        if self.dealt.by_processes:
+            require_alike(facts())
+            self.dealt.connect()
+
     def placed(self, state: TrainState) -> TrainState:
         """Distributes the rows of a state over the devices."""
         return self.dealt.placed(state)
@@ -104,7 +125,7 @@ class SeveralViews:
         self, views: Sequence[View], recipe: Recipe, done: int, schedule: Schedule, room: int | float
     ) -> Iterator[Views]:
         """Yields the views of one step after the other."""
-        photos = PhotoCache(views, room, canvases_of(views, recipe, schedule))
+        photos = PhotoCache(views, room, canvases_of(views, schedule))
         return steps_of(views, recipe, done, schedule, self.dealt, photos)
 
     def step(self, state: TrainState, seen: Views, recipe: Recipe) -> tuple[TrainState, Float[Array, ""]]:
@@ -116,17 +137,12 @@ class SeveralViews:
         )
 
 
-def canvases_of(
-    views: Sequence[View], recipe: Recipe, resolution: ResolutionSchedule
-) -> list[Size | None] | None:
+def canvases_of(views: Sequence[View], resolution: ResolutionSchedule) -> list[Size | None] | None:
     """Returns the canvas of each photo, so that a scene of one size compiles at most `MOST_PROGRAMS` steps.
 
     Each combination of an image size, a factor of downscaling and a kind of lens is a program. A capture
-    whose photos need no more has no canvases. Penalties of geometry are means over the whole image, so a
-    recipe with some has none either: each size is a program.
+    whose photos need no more has no canvases.
     """
-    if recipe.objective.geometry.outputs:
-        return None
     kinds = {jax.tree.structure(replace(view.camera, width=1, height=1)) for view in views}
     most = max(1, MOST_PROGRAMS // (len(kinds) * len(resolution.divisors)))
     return canvases_for([view.camera for view in views], most)

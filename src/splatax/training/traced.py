@@ -16,6 +16,9 @@ def of_a_step(recipe: Recipe) -> Recipe:
     `jit` traces and compiles a step for each recipe that it has not seen. Runs that differ in their number of
     steps, their seed or their number of Gaussians, such as the trial and the run of `splatax create`, share
     one program. That program must use no setting that is left out here: it would find the default.
+
+    Raises:
+        ValueError: if the recipe names its backend, instead of holding the kernels.
     """
     return Recipe(
         objective=recipe.objective,
@@ -23,7 +26,7 @@ def of_a_step(recipe: Recipe) -> Recipe:
         density=of_a_view(recipe.density),
         appearance=recipe.appearance,
         camera_refinement=recipe.camera_refinement,
-        drawing=recipe.drawing,
+        drawing=replace(recipe.drawing, backend=recipe.drawing.kernels),
     )
 
 

@@ -58,7 +58,7 @@ def step_on_views(
         views: of the step; the devices divide them.
         rates: learning rates of the recipe.
         openings: as `ShSchedule.openings`.
-        recipe: the settings; the backend is resolved already.
+        recipe: the settings, with kernels; see `Drawing.kernels`.
         mesh: the devices.
     """
     places = placement(state)

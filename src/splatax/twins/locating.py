@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -15,9 +16,11 @@ from splatax.cameras.geometry import points_at
 from splatax.errors import InputError
 from splatax.rendering import BLACK, Renderer
 from splatax.scene import Scene
+from splatax.sensors.depth import local_points, travelled
 from splatax.transforms import Similarity
 
 COVERED = 0.5  # least alpha of a pixel with a surface
+LEAST_AHEAD = 1e-3  # z of a point at lens depth 1, below which its z says nothing about the distance
 
 
 @dataclass(frozen=True)
@@ -50,13 +53,28 @@ class RgbdFrame:
     Attributes:
         camera: camera of the images' size.
         rgb: display-referred colour, in [0, 1].
-        depth: along the camera's axis, in units of the scene; 0, NaN or infinite where it is not
-            measured.
+        depth: as `sensors.Depth(along=...)` measures it, in units of the scene; 0, NaN or infinite where it
+            is not measured.
+        along: "axis" for z in camera axes, "ray" for the distance along the pixel's ray. A panorama needs
+            "ray": z is not above 0 at the sides and behind the camera, where "axis" measures nothing.
     """
 
     camera: Camera
     rgb: Float[np.ndarray, "h w 3"] | Float[Array, "h w 3"]
     depth: Float[np.ndarray, "h w"] | Float[Array, "h w"]
+    along: Literal["axis", "ray"] = "axis"
+
+    def lens_depths(self) -> Float[Array, "h w"]:
+        """Returns the depths as the camera's lens defines them, as `render` draws them; 0 where unknown.
+
+        They are z for perspective lenses, and the distance for fisheyes and panoramas.
+        """
+        measured = jnp.asarray(self.depth, jnp.float32)
+        # The points of a ray have z, distance and lens depth in fixed proportions; parallel rays have z only.
+        points = local_points(self.camera, jnp.ones_like(measured))
+        unit = points[..., 2] if self.along == "axis" else travelled(self.camera, points)
+        known = jnp.isfinite(measured) & (measured > 0) & (unit > LEAST_AHEAD)
+        return jnp.where(known, measured / jnp.where(known, unit, 1), 0)
 
     def points(self) -> Float[np.ndarray, "n 3"]:
         """Returns the world points of the pixels whose depth is measured, row by row.
@@ -64,8 +82,8 @@ class RgbdFrame:
         They serve as the landmarks of a training view, `View(..., landmarks=frame.points)`, which
         `training.geometry.Surfaces` compares with the depth of the scene.
         """
-        depth = np.asarray(self.depth)
-        rows, columns = np.nonzero(np.isfinite(depth) & (depth > 0))
+        depth = np.asarray(self.lens_depths())
+        rows, columns = np.nonzero(depth)
         return points_at(self.camera, np.stack([columns, rows], axis=1) + 0.5, depth[rows, columns])
 
 
@@ -125,10 +143,7 @@ def location_search(
     rate = optax.exponential_decay(search.rate, search.steps, search.final)
     rule, steps = optax.adam(rate), jnp.zeros(6)
     state = rule.init(steps)
-    target = (
-        jnp.asarray(frame.rgb, jnp.float32),
-        jnp.nan_to_num(jnp.asarray(frame.depth, jnp.float32), posinf=0.0),
-    )
+    target = jnp.asarray(frame.rgb, jnp.float32), frame.lens_depths()
     weights = jnp.array([search.depth_weight, search.most], jnp.float32)
 
     for step in range(search.steps):

@@ -16,7 +16,7 @@ dye.body = [0.9, 0.1, 0.1]
 import math
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +27,14 @@ from splatax.cameras import Camera, look_at
 from splatax.errors import FormatError
 from splatax.gaussians import Gaussians
 from splatax.io import formats
+from splatax.io.rigs import load_animated
 from splatax.io.scenes import load_scene, load_variants
+from splatax.rendering import Color
 from splatax.scene import ColorMap, Option, Part, Scene, Variants, chosen
 from splatax.trajectories import keyframes
 from splatax.transforms import Similarity
 from splatax.web.presentation import Hotspot, Presentation
+from splatax.web.skinned import Motion
 
 COLORS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
 UP = (0.0, -1.0, 0.0)  # y points down, as in a camera
@@ -49,12 +52,14 @@ class Composition:
         presentation: the offers of its page.
         title: title of the page.
         background: display-referred RGB behind the scene.
+        motions: clips that parts play, by the names of the parts.
     """
 
     scene: Scene
     presentation: Presentation
     title: str
-    background: tuple[float, float, float]
+    background: Color
+    motions: Mapping[str, Motion] = field(default_factory=dict)
 
     @property
     def at_first(self) -> Scene:
@@ -66,7 +71,8 @@ def compose(path: str | Path) -> Composition:
     """Reads a .toml file of parts and variants, and the splat files that it names; or a .glb file of them.
 
     docs/configurator.md lists the keys. Files are looked for beside the .toml file, and read once each. A
-    .glb file has only parts and variants: its page has no notes, and its title is the name of the file.
+    .glb file has parts, variants and clips, of which its page plays the first: its page has no notes, and its
+    title is the name of the file.
 
     Raises:
         FormatError: if a file is missing or damaged, a key is unknown or has no valid value, or a variant or
@@ -74,8 +80,7 @@ def compose(path: str | Path) -> Composition:
     """
     path = Path(path)
     if path.suffix.lower() == ".glb":
-        scene, variants = load_variants(path)
-        return Composition(scene, Presentation(variants), path.stem, COLORS["black"])
+        return _from_glb(path)
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -91,11 +96,25 @@ def compose(path: str | Path) -> Composition:
         raise FormatError(f"{path}: {reason}. docs/configurator.md shows an example.") from error
 
 
+def _from_glb(path: Path) -> Composition:
+    """Returns the scene of a .glb file with its variants, and the first clip of its skinned parts."""
+    scene, variants = load_variants(path)
+    animated = load_animated(path)
+    clip = next(iter(animated.clips.values()), None)
+    motions = {} if clip is None else {name: Motion(rig, clip) for name, rig in animated.rigs.items()}
+    bound = {
+        name: replace(scene[name], gaussians=animated.scene[name].gaussians, pose=animated.scene[name].pose)
+        for name in motions
+    }
+    return Composition(scene.replaced(bound), Presentation(variants), path.stem, COLORS["black"], motions)
+
+
 def _composed(path: Path, table: dict[str, Any]) -> Composition:
     known = ("title", "background", "parts", "variants", "hotspots", "start", "path", "embed")
     _check_keys("the file", table, known)
     read: dict[tuple[str, str | None], Gaussians] = {}
-    scene = Scene({name: _part(path, name, row, read) for name, row in table.get("parts", {}).items()})
+    rows, motions = table.get("parts", {}), dict[str, Motion]()
+    scene = Scene({name: _part(path, name, row, read, motions) for name, row in rows.items()})
     variants = {
         variant: {name: _option(f"[variants.{variant}.{name}]", row) for name, row in options.items()}
         for variant, options in table.get("variants", {}).items()
@@ -109,20 +128,45 @@ def _composed(path: Path, table: dict[str, Any]) -> Composition:
     rgb = COLORS.get(background) if isinstance(background, str) else _numbers("background", background, 3)
     if rgb is None:
         raise ValueError(f"background is {background!r}, not black, white or three numbers")
-    return Composition(scene, presentation, str(table.get("title", path.stem)), (rgb[0], rgb[1], rgb[2]))
+    title = str(table.get("title", path.stem))
+    return Composition(scene, presentation, title, (rgb[0], rgb[1], rgb[2]), motions)
 
 
-def _part(path: Path, name: str, row: dict[str, Any], read: dict[tuple[str, str | None], Gaussians]) -> Part:
+def _part(
+    path: Path,
+    name: str,
+    row: dict[str, Any],
+    read: dict[tuple[str, str | None], Gaussians],
+    motions: dict[str, Motion],
+) -> Part:
+    """Returns a part, and adds its clip to the motions if it plays one."""
     where = f"[parts.{name}]"
-    known = ("file", "node", "degrees", "scale", "move", "visible", "tint", "dye", "matrix", "offset")
+    known = ("file", "node", "clip", "degrees", "scale", "move", "visible", "tint", "dye", "matrix", "offset")
     _check_keys(where, row, known)
     source = (str(row["file"]), row.get("node"))
-    if source not in read:
-        _read(path.parent / source[0], source, read)
+    if "clip" in row:
+        gaussians, motions[name] = _moving(where, path.parent / source[0], source[1], str(row["clip"]))
+    else:
+        if source not in read:
+            _read(path.parent / source[0], source, read)
+        gaussians = read[source]
     place = {key: _numbers(f"{where} {key}", row[key], 3) for key in ("degrees", "move") if key in row}
     pose = Similarity.of(**place, scale=float(row.get("scale", 1)))  # type: ignore[arg-type]
     visible = _flag(f"{where} visible", row.get("visible", True))
-    return Part(read[source], pose, visible, _color(where, row))
+    return Part(gaussians, pose, visible, _color(where, row))
+
+
+def _moving(where: str, file: Path, node: str | None, clip: str) -> tuple[Gaussians, Motion]:
+    """Returns the Gaussians of a part with a skin, and the clip that moves it."""
+    animated = load_animated(file)
+    names = [name for name in animated.rigs if node in (None, name)]
+    if len(names) != 1:
+        listed = ", ".join(animated.rigs) or "none"
+        raise ValueError(f"{where} has a clip, so it needs one part with a skin; {file.name} has {listed}")
+    if clip not in animated.clips:
+        listed = ", ".join(animated.clips) or "none"
+        raise ValueError(f"{where} has clip {clip!r}, and the clips of {file.name} are {listed}")
+    return animated.scene[names[0]].gaussians, Motion(animated.rigs[names[0]], animated.clips[clip])
 
 
 def _read(file: Path, source: tuple[str, str | None], read: dict[tuple[str, str | None], Gaussians]) -> None:

@@ -3,7 +3,7 @@
 import base64
 import gzip
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,11 +21,12 @@ from splatax.io import formats
 from splatax.io.files import write_whole
 from splatax.low_pass import AlongRays, Antialiasing, Dilation, LowPass
 from splatax.math import morton
+from splatax.rendering import Color
 from splatax.scene import Drawable, seen
 from splatax.transforms import Similarity
 from splatax.web.detail import LOD_ABOVE, previews_of
-from splatax.web.presentation import Presentation, described, placed
-from splatax.web.skinned import Motion
+from splatax.web.presentation import Presentation, described, placed, standard
+from splatax.web.skinned import FPS, Motion
 from splatax.web.staging import stage
 
 MAX_SH_DEGREE = 3  # highest degree that the viewer draws
@@ -36,6 +37,8 @@ LOSES = (
 # The demo loses 0.08 dB on its test photos. The usual sizes, (8, 16), lose 1.7 dB in 39 % fewer bytes; .sog
 # loses 0.1 dB in 40 % more.
 SH_BUCKETS = (2, 2)
+# Ellipses with it are closest to discs drawn along rays: docs/measure_discs_elsewhere.py.
+ALONG_RAYS = Dilation(0.06)
 VIEWER = Path(__file__).parent / "viewer.js"  # built from web/ by `make page`
 NOTHING = Presentation()
 CHUNK = 3 << 17  # bytes of each embedded chunk: progress is shown after each
@@ -61,9 +64,9 @@ def document(
     *,
     title: str,
     cameras: Mapping[str, Camera] | None = None,
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    background: Color = (0.0, 0.0, 0.0),
     presentation: Presentation = NOTHING,
-    motion: Motion | None = None,
+    motion: Motion | Mapping[str, Motion] | None = None,
     lod_above: int = LOD_ABOVE,
     name: str = "page",
 ) -> str:
@@ -77,7 +80,8 @@ def document(
         cameras: cameras of the capture by name: the viewpoints, and the keyframes of the flight.
         background: display-referred RGB behind the scene, in [0, 1].
         presentation: variants, notes, start view and flight.
-        motion: a clip that the scene plays; its colours do not turn, so they are right at SH degree 0.
+        motion: clip that the Gaussians play; for a `Scene`, those of some parts by their names, which play
+            together. Colours do not turn with joints, so they are right at SH degree 0.
         lod_above: number of Gaussians above which the page opens with a preview, and then draws with level of
             detail. A page with a motion draws all its Gaussians.
         name: name of the page in error messages.
@@ -97,14 +101,14 @@ def document(
     names = {file: f"preview-{file}" for file in previews}
     first = {names.get(file, file): previews.get(file, gaussians) for file, gaussians in whole.items()}
     page = {
-        "background": list(background),
+        "background": [float(value) for value in background],
         "lowPass": _variances(low_pass),
         "near": NEAR * staged.place.scale,
         "cameras": staged.poses,
         "start": staged.start,
         "parts": [part | {"preview": names.get(part["file"])} for part in parts],
         **described(scene, staged, presentation, name),
-        "motion": _motion(motion, files, staged.place, name),
+        "motion": _motion(motion, scene, parts, files, staged.place, name),
     }
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("splatax.web", "."), autoescape=True, undefined=jinja2.StrictUndefined
@@ -121,15 +125,40 @@ def document(
 
 
 def _motion(
-    motion: Motion | None, files: Mapping[str, Gaussians], place: Similarity, name: str
+    motion: Motion | Mapping[str, Motion] | None,
+    scene: Drawable,
+    parts: Sequence[Mapping[str, Any]],
+    files: Mapping[str, Gaussians],
+    place: Similarity,
+    name: str,
 ) -> dict[str, Any] | None:
-    """Returns what the page needs of a motion, which is that of its only file."""
-    if motion is None:
+    """Returns what the page needs of the clips of parts: the bones of each, and how they are played."""
+    if not motion:
         return None
-    if len(files) != 1:
-        raise FormatError(f"{name}: a clip moves Gaussians, not a scene of parts. Merge the parts first.")
-    (gaussians,) = files.values()
-    return motion.described(place, _order(gaussians), name)
+    if isinstance(motion, Motion) != isinstance(scene, Gaussians):
+        raise FormatError(
+            f"{name}: Gaussians have one motion, and a scene of parts has motions by the names of its parts."
+        )
+    moving = {"scene": motion} if isinstance(motion, Motion) else dict(motion)
+    indices = {part["name"]: index for index, part in enumerate(parts)}
+    bones = []
+    for part, own in moving.items():
+        if part not in indices:
+            raise FormatError(
+                f"{name}: a motion moves part {part!r}, but the scene has {', '.join(indices)}."
+            )
+        index = indices[part]
+        gaussians = files[parts[index]["file"]]
+        if len(own.rig.indices) != len(gaussians):
+            raise FormatError(
+                f"{name}: part {part!r} has {len(gaussians):,} Gaussians, and its rig "
+                f"{len(own.rig.indices):,}."
+            )
+        here = place if isinstance(scene, Gaussians) else standard(scene[part].gaussians)
+        bones.append({"part": index, **own.described(here, _order(gaussians), name)})
+    clips = [own.clip for own in moving.values()]
+    names = ", ".join(dict.fromkeys(clip.name for clip in clips))
+    return {"clip": names, "seconds": max(clip.seconds for clip in clips), "fps": FPS, "parts": bones}
 
 
 def _order(gaussians: Gaussians) -> Int[np.ndarray, " n"]:
@@ -186,10 +215,10 @@ def _viewer() -> bytes:
 def _variances(low_pass: LowPass) -> dict[str, Any]:
     """Returns the variances that the viewer's two filters add to each footprint, pixels^2.
 
-    The viewer draws ellipses only. It shows scenes that are drawn along rays as thin Gaussians with the usual
-    dilation.
+    The viewer draws ellipses only. It shows scenes that are drawn along rays as thin Gaussians. These need a
+    smaller dilation than others: `AlongRays` widens no splat that is larger than its blur.
     """
-    dilation = Dilation() if isinstance(low_pass, AlongRays) else low_pass
+    dilation = ALONG_RAYS if isinstance(low_pass, AlongRays) else low_pass
     return {
         "dilation": dilation.variance if isinstance(dilation, Dilation) else 0,
         "antialiasing": low_pass.variance if isinstance(low_pass, Antialiasing) else 0,

@@ -104,7 +104,7 @@ def placed(scene: Drawable, place: Similarity) -> tuple[list[dict[str, Any]], di
     parts = []
     for name, part in scene.parts.items():
         if id(part.gaussians) not in sized:
-            file, own = f"part-{len(sized)}", _standard(part.gaussians)
+            file, own = f"part-{len(sized)}", standard(part.gaussians)
             sized[id(part.gaussians)] = (file, own)
             files[file] = own.transform(part.gaussians)
         file, own = sized[id(part.gaussians)]
@@ -116,7 +116,7 @@ def placed(scene: Drawable, place: Similarity) -> tuple[list[dict[str, Any]], di
     return parts, files
 
 
-def _standard(gaussians: Gaussians) -> Similarity:
+def standard(gaussians: Gaussians) -> Similarity:
     """Returns the transform that gives a part the viewer's standard size, for which its files are precise."""
     middle, radius = spread_of(np.asarray(gaussians.means, np.float64))
     return Similarity(np.eye(3), -SIZE / radius * middle, SIZE / radius)

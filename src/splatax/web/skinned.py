@@ -20,10 +20,10 @@ TO_VIEWER = np.diag([1.0, -1.0, -1.0, 1.0])  # y down, z forward -> y up, z back
 
 @dataclass(frozen=True)
 class Motion:
-    """A clip that the page plays in a loop.
+    """A clip that Gaussians of a page play in a loop.
 
     Attributes:
-        rig: the skeleton, and the weights of each Gaussian of the page's scene.
+        rig: the skeleton, and the weights of each of these Gaussians.
         clip: the motion.
     """
 
@@ -34,8 +34,8 @@ class Motion:
         """Returns what the page needs of the motion, with the fields of web/src/animation.js.
 
         Args:
-            place: transform from the world to the viewer's frame.
-            order: rows of the Gaussians in the order of the page's scene.
+            place: transform from the coordinates of the skeleton to those of the page's file.
+            order: rows of the Gaussians in the order of the page's file.
             name: of the page, for messages.
 
         Raises:
@@ -49,9 +49,6 @@ class Motion:
             )
         bones = self._bones(place, used)
         return {
-            "clip": self.clip.name,
-            "seconds": self.clip.seconds,
-            "fps": FPS,
             "joints": len(used),
             "bones": base64.b64encode(bones.astype("<f4").tobytes()).decode(),
             "skin": base64.b64encode(packed(np.searchsorted(used, indices), weights).tobytes()).decode(),
@@ -60,9 +57,7 @@ class Motion:
     def _bones(self, place: Similarity, used: Int[np.ndarray, " b"]) -> Float[np.ndarray, "f b 12"]:
         """Returns the columns of each bone's transform, for each stored pose."""
         skeleton = self.rig.skeleton
-        there = np.eye(4)
-        there[:3, :3], there[:3, 3] = place.scale * place.rotation, place.translation
-        there = TO_VIEWER @ there
+        there = TO_VIEWER @ place.matrix
         back, inverse = np.linalg.inv(there), np.asarray(skeleton.inverse_binds, np.float64)
         frames = []
         for frame in range(int(np.ceil(self.clip.seconds * FPS)) + 1):

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from splatax.dataset import Dataset, PointCloud, View, photos_in
 from splatax.errors import DatasetError
-from splatax.io.datasets import depths, masks, photos, truth
+from splatax.io.datasets import depths, masks, motions, photos, truth
 from splatax.io.datasets.capture import Capture, Frame
 from splatax.io.datasets.undistortion import is_pinhole
 
@@ -54,7 +54,9 @@ def dataset_of(capture: Capture, downscale: int | None, undistort: bool) -> Data
         )
         for source in sources
     ]
-    views, known = with_truth(capture, views, sources, undistort)
+    bent = {s.name for s in sources if not is_pinhole(s.camera) and (undistort or not s.known)}
+    views, known = with_truth(capture, views, bent)
+    views, exposed = motions.moving(views, motions.read(capture.home), bent)
     train, test = (tuple(views), ()) if capture.held_out is None else parted(capture, views, named)
     points = capture.points
     measured: tuple[str, ...] = ()
@@ -72,11 +74,12 @@ def dataset_of(capture: Capture, downscale: int | None, undistort: bool) -> Data
         f"from {folder.name}/{photos.scaling(factor)}",
         *measured,
         *known,
+        *exposed,
         *moved,
         *photos.limited(sources),
     ]
-    if bent := resampled(sources, undistort):
-        notes.append(bent)
+    if lenses := resampled(sources, undistort):
+        notes.append(lenses)
     if count := sum(source.mask is not None for source in sources):
         notes.append(f"masks for {count} of {len(views)} photos{f', from {masks.FOLDER}/' if beside else ''}")
     if errors:
@@ -132,18 +135,15 @@ def parted_by_presence(capture: Capture) -> tuple[list[Frame], list[Frame]]:
     return present, missing
 
 
-def with_truth(
-    capture: Capture, views: list[View], sources: list[photos.Source], undistort: bool
-) -> tuple[list[View], tuple[str, ...]]:
+def with_truth(capture: Capture, views: list[View], bent: set[str]) -> tuple[list[View], tuple[str, ...]]:
     """Returns views with their true geometry, and a note if there is any.
 
-    Views of undistorted photos have none, because its pixels are those of the photo as it is.
+    Undistorted photos, whose names are in `bent`, have none: its pixels are those of the photo as it is.
 
     Raises:
         DatasetError: if there is true geometry, but of no photo.
     """
     found = truth.truths_of(capture.home, [view.name for view in views])
-    bent = {s.name for s in sources if not is_pinhole(s.camera) and (undistort or not s.known)}
     usable = {name: files for name, files in found.items() if name not in bent}
     notes = [f"true depth of {photos.counted(len(usable))}, for evaluation"] if usable else []
     if unusable := len(found) - len(usable):

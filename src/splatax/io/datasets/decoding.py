@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+import splatax
 from splatax.dataset import Mask, Pixels
 from splatax.errors import DatasetError
 from splatax.io import images
@@ -121,4 +122,5 @@ class MaskDecoder:
 @cache
 def libraries() -> str:
     """Returns the versions of the packages that decode and resample photos."""
-    return " ".join(f"{name} {version(name)}" for name in ("splatax", "pillow", "pycolmap", "scipy"))
+    others = (f"{name} {version(name)}" for name in ("pillow", "pycolmap", "scipy"))
+    return " ".join((f"splatax {splatax.__version__}", *others))

@@ -24,7 +24,7 @@ def reprojection_errors(
     Args:
         model: COLMAP model.
         registered: registered images of the model by name, sorted.
-        cameras: pinhole camera of each image, by name.
+        cameras: camera of each image, by name.
 
     Returns:
         Errors by name, for a sample of the images that have observations.

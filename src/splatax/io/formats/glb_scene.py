@@ -31,6 +31,7 @@ class Placed(NamedTuple):
         name: name of the node; empty if it has none.
         visible: False if the node or one above it is hidden.
         extras: notes of `splatax.io.scenes` at the node.
+        skin: index of the skin that moves the splats; None if they stay.
     """
 
     primitive: dict[str, Any]
@@ -38,6 +39,7 @@ class Placed(NamedTuple):
     name: str
     visible: bool
     extras: dict[str, Any]
+    skin: int | None = None
 
 
 def chunks(path: Path) -> tuple[dict[str, Any], bytes]:
@@ -81,7 +83,8 @@ def splats(path: Path, gltf: dict[str, Any]) -> list[Placed]:
                     f"{path}: its splats are compressed ({names}), which splatax does not read."
                 )
             extras = node.get("extras", {}).get("splatax", {})
-            found.append(Placed(primitive, place, str(node.get("name", "")), visible, extras))
+            name, skin = str(node.get("name", "")), node.get("skin")
+            found.append(Placed(primitive, place, name, visible, extras, skin))
     if not found:
         raise FormatError(f"{path}: no splats: none of its meshes has the extension {EXTENSION}.")
     return found

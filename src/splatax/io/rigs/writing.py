@@ -5,6 +5,7 @@ import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +22,8 @@ from splatax.scene.skeleton import Skeleton
 
 TYPES = {"u1": 5121, "u2": 5123, "u4": 5125, "f4": 5126}  # NumPy's codes to glTF's component types
 KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
+EMPTY: Mapping[str, Any] = MappingProxyType({})
+FOLLOWS = {"skin": 0}  # of a node whose mesh follows the skeleton
 POINTS = {"mode": 0, "extensions": {EXTENSION: PROPERTIES}}  # of a primitive of splats
 VERTICES, INDICES = 34962, 34963  # glTF's buffer targets
 
@@ -80,72 +83,66 @@ class Glb:
 
 
 @dataclass(frozen=True)
-class Skinned:
-    """A mesh that follows a skeleton.
+class Mesh:
+    """A mesh of a file.
 
     Attributes:
-        attributes: of the vertices, in glTF's frame and the bound pose, with JOINTS_0 and WEIGHTS_0.
+        attributes: those of the vertices, in glTF's frame, by name. A mesh that follows a skeleton is in the
+            bound pose, with JOINTS_0 and WEIGHTS_0.
         primitive: other properties of the mesh's primitive.
         triangles: indices of vertices; None for a mesh of points.
-        name: name of its node.
     """
 
     attributes: Mapping[str, np.ndarray]
     primitive: Mapping[str, Any]
     triangles: Int[np.ndarray, "t 3"] | None = None
-    name: str = "skinned"
-
-
-class Beside(NamedTuple):
-    """Meshes of points in the file of a skinned mesh, which do not follow its skeleton.
-
-    Attributes:
-        nodes: glTF's objects, which name their mesh by its index here.
-        attributes: those of each mesh, which is made of points.
-    """
-
-    nodes: Sequence[dict[str, Any]] = ()
-    attributes: Sequence[Mapping[str, np.ndarray]] = ()
 
 
 def write_skinned(
     path: Path,
     skeleton: Skeleton,
     clips: Mapping[str, Clip],
-    mesh: Skinned,
+    meshes: Sequence[Mesh],
+    nodes: Sequence[dict[str, Any]],
     comments: Sequence[str] = (),
-    beside: Beside = Beside(),
+    kept: Mapping[str, Any] = EMPTY,
 ) -> None:
-    """Writes one mesh that follows a skeleton, and other meshes that stay.
+    """Writes meshes, of which some follow a skeleton.
 
     Args:
         path: file to write.
         skeleton: the joints, which become nodes.
         clips: by name.
-        mesh: the mesh that follows them.
+        meshes: those that nodes name.
+        nodes: glTF's objects that place the meshes. Those with `FOLLOWS` follow the skeleton.
         comments: lines for the file's extras.
-        beside: the meshes that stay.
+        kept: JSON values to keep with the scene, which other readers ignore.
     """
     glb = Glb()
     count = len(skeleton)
-    primitives = [{**mesh.primitive, "attributes": _accessors(glb, mesh.attributes)}]
-    if mesh.triangles is not None:
-        primitives[0]["indices"] = glb.add(mesh.triangles.reshape(-1, 1).astype("<u4"), target=INDICES)
-    primitives += [{**POINTS, "attributes": _accessors(glb, rows)} for rows in beside.attributes]
+    primitives = []
+    for mesh in meshes:
+        primitive = {**mesh.primitive, "attributes": _accessors(glb, mesh.attributes)}
+        if mesh.triangles is not None:
+            primitive["indices"] = glb.add(mesh.triangles.reshape(-1, 1).astype("<u4"), target=INDICES)
+        primitives.append(primitive)
     binds = np.asarray(skeleton.inverse_binds, np.float64) @ FRAME
     inverse = glb.add(binds.transpose(0, 2, 1).reshape(count, 16).astype("<f4"))
     animations = [_animation(glb, name, clip) for name, clip in clips.items() if clip.channels]
-    nodes = [*_nodes(skeleton), {"name": mesh.name, "mesh": 0, "skin": 0}, *_frame(skeleton)]
-    standing = [node | {"mesh": node["mesh"] + 1} for node in beside.nodes]
+    joints = _nodes(skeleton)
+    frame = _frame(skeleton, count + len(nodes))
+    scene: dict[str, Any] = {"nodes": [*frame.tops, *range(count, count + len(nodes))]}
+    if kept:
+        scene["extras"] = {"splatax": dict(kept)}
     gltf: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": "splatax", "extras": {"comments": list(comments)}},
         "scene": 0,
-        "scenes": [{"nodes": [*_tops(skeleton), count, *range(len(nodes), len(nodes) + len(standing))]}],
-        "nodes": [*nodes, *standing],
+        "scenes": [scene],
+        "nodes": [*joints, *nodes, *frame.nodes],
         "meshes": [{"primitives": [primitive]} for primitive in primitives],
         "skins": [{"joints": list(range(count)), "inverseBindMatrices": inverse}],
     }
-    used = {name for thing in (*primitives, *standing) for name in thing.get("extensions", ())}
+    used = {name for thing in (*primitives, *nodes) for name in thing.get("extensions", ())}
     if used:
         gltf["extensionsUsed"] = sorted(used)
     if animations:
@@ -188,26 +185,30 @@ def save_body(path: str | Path, body: Body) -> None:
         "COLOR_0": to_linear(surface.colors).astype("<f4"),  # glTF's are linear light
         **joints_attributes(surface.indices, surface.weights, len(body.skeleton)),
     }
-    mesh = Skinned(attributes, {"mode": 4}, surface.triangles)
-    write_skinned(Path(path), body.skeleton, body.clips, mesh)
+    mesh = Mesh(attributes, {"mode": 4}, surface.triangles)
+    node = {"name": "skinned", "mesh": 0, **FOLLOWS}
+    write_skinned(Path(path), body.skeleton, body.clips, [mesh], [node])
 
 
-def _turned(skeleton: Skeleton) -> bool:
-    """Returns whether the joints need a node above them, which turns their frame to glTF's."""
-    return not np.allclose(np.asarray(skeleton.root), FRAME)
+class _Frame(NamedTuple):
+    """The nodes above the joints, and the topmost nodes of the skeleton by their index."""
+
+    nodes: list[dict[str, Any]]
+    tops: list[int]
 
 
-def _tops(skeleton: Skeleton) -> list[int]:
+def _frame(skeleton: Skeleton, index: int) -> _Frame:
+    """Returns the node that turns the frame of the joints to glTF's, if they need one.
+
+    Args:
+        skeleton: the joints, which are the first nodes of the file.
+        index: index of the node.
+    """
     tops = [joint for joint, parent in enumerate(skeleton.parents) if parent < 0]
-    return [len(skeleton) + 1] if _turned(skeleton) else tops
-
-
-def _frame(skeleton: Skeleton) -> list[dict[str, Any]]:
-    if not _turned(skeleton):
-        return []
+    if np.allclose(np.asarray(skeleton.root), FRAME):
+        return _Frame([], tops)
     matrix = FRAME @ np.asarray(skeleton.root, np.float64)
-    tops = [joint for joint, parent in enumerate(skeleton.parents) if parent < 0]
-    return [{"name": "frame", "matrix": matrix.T.ravel().tolist(), "children": tops}]
+    return _Frame([{"name": "frame", "matrix": matrix.T.ravel().tolist(), "children": tops}], [index])
 
 
 def _nodes(skeleton: Skeleton) -> list[dict[str, Any]]:

@@ -122,7 +122,8 @@ def project(
     arrays = tuple(getattr(gaussians, field) for field in FIELDS)
     settings = Settings(kernel, Layout.of(camera), low_pass)
     found = _project(arrays, packed(camera), camera.frame, settings)
-    return Splats(*found, camera.width, camera.height)
+    means2d, sqrt_conics, depths, extents, colors, opacities = found
+    return Splats(means2d, sqrt_conics, depths, extents, colors, opacities, camera.width, camera.height)
 
 
 def kernel_for(camera: Camera, kernels: ProjectionKernels) -> Kernel | None:

@@ -192,4 +192,5 @@ def _concentrated(comparison: Comparison) -> bool:
     difference = comparison.image.astype(np.float32) - comparison.photo
     errors = np.sum(difference**2, axis=2)[... if comparison.mask is None else comparison.mask].ravel()
     first = len(errors) - max(round(PART * len(errors)), 1)
-    return bool(np.partition(errors, first)[first:].sum() > CONCENTRATED * errors.sum())
+    worst = np.partition(errors, first)[first:]
+    return bool(worst.sum() > CONCENTRATED * errors.sum())

@@ -2,8 +2,9 @@
 
 draw FOLDER                        a synthetic city as a capture: 98 photos, each of which shows a part of it
 train CAPTURE FOLDER N [OPTIONS]   one run and N blocks by the command line, with options of both such as
-                                   `--steps 1500 --max-gaussians 24000`
-compare CAPTURE FOLDER [OPTIONS]   scores and memory of both, near the borders of boxes and elsewhere, and a
+                                   `--steps 1500 --max-gaussians 24000`; allow at least as many Gaussians as
+                                   the capture has points, because one run starts from all of them
+compare CAPTURE FOLDER [DOWNSCALE] scores and memory of both, near the borders of boxes and elsewhere, and a
                                    picture of the seams (docs/images/blocks.jpg)
 """
 

@@ -36,6 +36,7 @@ LOOK_UP = {
     "blocks/visibility",
     "inspection/pace",
     "rendering",
+    "runs/budget",
     "stages",
     "training/loop",
     "training/rigged",

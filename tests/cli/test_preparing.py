@@ -136,6 +136,7 @@ def test_without_options_training_has_a_budget(tmp_path, monkeypatch, capsys):
 def test_a_limit_of_the_whole_command_leaves_time_for_the_results(tmp_path, capsys, monkeypatch):
     limited = []
     monkeypatch.setattr(train.Train, "train", lambda self, *given, **__: limited.append(given))
+    monkeypatch.setattr("splatax.runs.planning.busyness", lambda: 1.0)
     cli.main(["train", "capture", "--within", "100s"])
     _, _, deadline = limited[0]
     dataset = sx.load_dataset(write_capture(tmp_path / "capture"))

@@ -13,7 +13,7 @@ from scenes import random_gaussians
 from splatax import backends
 from splatax.backends import cpu
 from splatax.backends.protocol import PulledView
-from splatax.cameras import Camera
+from splatax.cameras import Camera, RollingShutter
 from splatax.cameras.lenses import opencv
 from splatax.low_pass import Antialiasing, Dilation
 from splatax.moving import Moments, Rule, Step
@@ -118,7 +118,9 @@ def test_the_number_of_threads_changes_no_bit():
 def test_it_serves_no_camera_that_the_native_projection_does_not(kernels):
     still = camera()
     assert kernels.moved_at_once(still, Dilation()) is kernels.pull_and_move
-    assert kernels.moved_at_once(still.on_canvas(100, 80), Dilation()) is None
+    assert kernels.moved_at_once(still.on_canvas(100, 80), Dilation()) is kernels.pull_and_move
+    moving = replace(still, motion=RollingShutter(jnp.zeros(6)))
+    assert kernels.moved_at_once(moving, Dilation()) is None
     mine = replace(kernels, move=partial(kernels.move))
     assert mine.moved_at_once(still, Dilation()) is None, "a move of one's own must not be passed over"
 

@@ -183,7 +183,7 @@ def test_a_step_on_several_views_follows_the_mean_of_their_gradients():
     dataset = capture(views=5)
     optimizer = Optimizer(rule=partial(optax.sgd, 1.0), rates=LearningRates(sh_rest=0.0, settled=1.0))
     density, sh = NoDensityControl(), ShSchedule(0)
-    recipe = sx.Recipe(steps=1, views=4, optimizer=optimizer, density=density, sh=sh)
+    recipe = sx.Recipe(steps=1, views=4, optimizer=optimizer, density=density, sh=sh).on(backends.resolve())
     start = recipe.initialization(dataset, 0, 0)
     state = first_state(start, recipe, 1.0, 4)
     gradients = []

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from splatax import backends
 from splatax.bench.operations import step as operation
 from splatax.bench.scenes import procedural
 from splatax.bench.timing import timed
@@ -137,6 +138,7 @@ def measured(size: tuple[int, int], recipe: Recipe, lens: Lens = Pinhole()) -> C
         recipe: of the run; its backend is timed.
         lens: of the photos.
     """
+    recipe = recipe.on(backends.resolve(recipe.drawing.backend))
     fine, smaller = cost_of(size, recipe, lens), coarse_size(size, recipe)
     return Costs(fine if smaller == size else cost_of(smaller, recipe, lens), fine)
 

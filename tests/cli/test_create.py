@@ -208,7 +208,6 @@ EXAMPLES = {  # of options of `train`; a new option needs one
     "host": "0.0.0.0",
     "port": 9000,
 }
-NEEDED = {"views": ("--steps", "60")}
 REFUSED = {"hosts": "run in one process"}
 
 
@@ -224,7 +223,7 @@ REFUSED = {"hosts": "run in one process"}
 def test_each_option_of_train_can_be_given(stages, photos, tmp_path, capsys, group, name):
     value = EXAMPLES[name]
     typed = [flag(name)] if value is True else [flag(name), str(value)]
-    command = ["create", str(photos), "--out", str(tmp_path / "out"), *typed, *NEEDED.get(name, ())]
+    command = ["create", str(photos), "--out", str(tmp_path / "out"), *typed]
     if name in REFUSED:
         assert REFUSED[name] in refused(capsys, *command)
         return

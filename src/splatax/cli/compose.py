@@ -70,8 +70,12 @@ class Compose:
             return
         rigs = {name: motion.rig for name, motion in found.motions.items()}
         clips = {motion.clip.name: motion.clip for motion in found.motions.values()}
+        if not all(motion.clip.equals(clips[motion.clip.name]) for motion in found.motions.values()):
+            raise InputError(
+                f"{self.out}: parts play different clips of one name. Rename one, or write a page."
+            )
         try:
             animated = AnimatedScene(found.scene, rigs, clips)
         except ValueError as error:
-            raise InputError(f"{self.out}: {error} A .glb file keeps one skeleton. Write a page.") from error
+            raise InputError(f"{self.out}: {error} A page can have several skeletons.") from error
         save_animated(self.out, animated, variants=variants, comments=comments)

@@ -165,8 +165,8 @@ class Create:
         if limits.within is not None:
             end = began + parsed("within", limits.within, parse_seconds) - PAGE_SECONDS
             return replace(limits, within=f"{max(fraction * (end - time.monotonic()), 1.0):.0f}s")
-        steps = limits.steps if self.plannable else limits.steps or Settings.steps
-        if steps is not None:
+        default = None if self.plannable else -(-Settings.steps // (self.devices.views or 1))
+        if (steps := limits.steps or default) is not None:
             return replace(limits, steps=max(round(steps * fraction), 1))
         seconds = parsed("budget", limits.budget or BUDGET, parse_seconds)
         return replace(limits, budget=f"{part * seconds:g}s")
@@ -252,7 +252,7 @@ class Create:
     @property
     def plannable(self) -> bool:
         """True if the steps of the recipe can be planned for a time."""
-        return PRESETS[self.method.recipe or Settings.recipe].plannable
+        return (self.devices.views or 1) == 1 and PRESETS[self.method.recipe or Settings.recipe].plannable
 
     def settings(self) -> Settings:
         """Returns the settings of a run with the given options.

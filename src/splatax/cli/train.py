@@ -25,6 +25,7 @@ from splatax.dataset import Dataset, photos_in
 from splatax.errors import InputError
 from splatax.io.datasets.photos import counted
 from splatax.io.memory import decoding
+from splatax.report import held_out
 from splatax.runs.budget import DEFAULT_BUDGET, Changes, Clock, Expected, parse_seconds
 from splatax.runs.checkpoints import Checkpoints
 from splatax.runs.claim import claimed_for_run
@@ -94,7 +95,7 @@ class Train:
         elif self.rerun.repeat is not None:
             stored, made = finished(self.rerun.repeat, NAMES)
             if changes := version_changes(self.rerun.repeat):
-                complain(f"warning: the scene will not have the same bytes: {'; '.join(changes)}")
+                complain(f"warning: the scene may not have the same bytes: {'; '.join(changes)}")
             with understood(self.rerun.repeat, "Repeat another run."):
                 free = MAY_CHANGE | {"out", "overwrite"}
                 settings = as_started(Settings, stored | NOT_REPEATED, chosen, free)
@@ -117,7 +118,8 @@ class Train:
         if settings.views > 1:
             if settings.budget is not None or self.limits.within is not None:
                 raise InputError(
-                    f"{flag(name)}: plans steps of one photo. With --views, leave it out, or give --steps."
+                    f"{flag(name)}: plans steps of one photo. Leave out either this or --views; "
+                    "--steps sets the number of steps."
                 )
             return settings, None
         plannable = PRESETS[settings.recipe].plannable and self.limits.steps is None
@@ -170,6 +172,8 @@ class Train:
             follow(settings, history, earlier)
             return
         judge = read_runs([settings.judged_by])[0] if settings.judged_by else None
+        if judge:
+            held_out.quoted(judge)  # a damaged one is refused before the training
         dataset = loaded(settings)
         for note in dataset.notes:
             say(note)
@@ -251,11 +255,11 @@ class Train:
 
 
 def with_steps(settings: Settings, dataset: Dataset) -> Settings:
-    """Returns settings with a number of steps that follows the number of photos; prints it unless 30,000."""
-    photos, choose = steps_for(dataset), "Choose another number: --steps"
-    steps = -(-photos // settings.views)
+    """Returns settings with the default number of steps, and prints it with several views or above 30,000."""
+    seen, choose = steps_for(dataset), "Choose another number: --steps"
+    steps = -(-seen // settings.views)
     if settings.views > 1:
-        say(f"{steps:,} steps of {counted(settings.views)}, {photos:,} photos in all. {choose}")
+        say(f"{steps:,} steps of {counted(settings.views)}, {seen:,} photos in all. {choose}")
     elif steps > settings.steps:
         count = photos_in(dataset.train)
         say(f"{steps:,} steps, {steps // count} for each of {counted(count)}. {choose}")

@@ -94,8 +94,8 @@ def adjust_to_patches(model: "pycolmap.Reconstruction", part: Part, free: Free, 
     """Locates the observations of an adjusted model by their patches, and adjusts the same part to them.
 
     The centres of features are certain to a twentieth of a pixel, and patches to a hundredth. Photos lose the
-    observations that were not located, if those are fewer than half. If more than half are in all photos
-    together, the model stays as it is.
+    observations that were not located, if those are at most half and enough remain. If fewer than half of all
+    observations are located, cameras and points stay as they are.
 
     Args:
         model: after `adjust`.
@@ -110,7 +110,8 @@ def adjust_to_patches(model: "pycolmap.Reconstruction", part: Part, free: Free, 
     for number, image in sorted(model.images.items()):
         seen = [i for i, point in enumerate(image.points2D) if point.has_point3D()]
         lost = [i for i in seen if (number, i) not in located]
-        _without_observations(model, number, lost if len(lost) <= (1 - ENOUGH) * len(seen) else [])
+        least = max(ENOUGH * len(seen), FEWEST_OBSERVATIONS)
+        _without_observations(model, number, lost if len(seen) - len(lost) >= least else [])
     _solve(model, part, free, OUTLIER_OF_PATCHES)
 
 

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 
 from splatax.cameras.conventions import PANORAMA
 from splatax.io.datasets.photos import LARGEST_SIDE
-from splatax.io.datasets.undistortion import undistortion
+from splatax.io.datasets.undistortion import undistortion_of_files
 from splatax.reconstruction.panoramas import (
     FACES,
     SHOWN,
@@ -188,7 +188,7 @@ def as_pinhole(shrunk: "pycolmap.Camera", photo: Photo) -> Written:
     """Returns how the photos of a camera are undistorted."""
     lens, scale = at_full_size(shrunk, photo)
     shrinking = float(-(-max(lens.width, lens.height) // LARGEST_SIDE))  # the loader's factor
-    pinhole, straighten = undistortion(lens, shrinking)
+    pinhole, straighten = undistortion_of_files(lens, shrinking)
 
     def straight(pixels: Pictures) -> Placed:
         slopes = lens.cam_from_img(pixels[0] * scale)

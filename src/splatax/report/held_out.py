@@ -9,11 +9,11 @@ from typing import Any
 from splatax.evaluation import ViewScore
 from splatax.report.gallery import Exhibit, Judged, Symptoms
 from splatax.runs.finished import AGAIN, FinishedRun, psnr_of
+from splatax.runs.planning import ENOUGH_STEPS
 from splatax.runs.records import as_json, read_record, typed, typed_fields, understood
 
 NAME = "held_out.json"
 MOST = 6  # photos with pictures, the worst
-ENOUGH = 500  # steps, below which a time budget takes smaller photos too
 WAY_OUT = "Delete it: the report then names only causes that need no pictures."
 
 
@@ -37,7 +37,7 @@ def quoted(run: FinishedRun) -> Judged:
     with understood(run.folder / "metrics.json", AGAIN):
         scores = tuple(map(_score, run.metrics["test"]["views"]))
     steps = run.metrics["steps"]
-    hasty = steps if steps < ENOUGH else 0
+    hasty = steps if steps < ENOUGH_STEPS else 0
     path = run.folder / NAME
     try:
         contents = read_record(path, WAY_OUT)

@@ -69,7 +69,8 @@ def corrected(judged: Judged) -> Judged:
     best = max(scores, key=lambda score: score.psnr).name if scores else ""
     if judged.best is not None and judged.best.score.name != best:
         judged = replace(judged, best=judged.pictures.get(best))
-    return replace(judged, scores=scores, corrected=True)
+    shown = sorted(judged.pictures.items(), key=lambda item: item[1].score.corrected_psnr)
+    return replace(judged, scores=scores, pictures=dict(shown), corrected=True)
 
 
 def _quoted(results: Results, seen: Judged) -> Judged:

@@ -1,6 +1,6 @@
 """Clips: recorded motions of a skeleton, as glTF stores them."""
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import Literal
 
 import jax.numpy as jnp
@@ -80,6 +80,18 @@ class Clip:
     def seconds(self) -> float:
         """The last time of any channel; 0 without channels."""
         return max((float(channel.times[-1]) for channel in self.channels), default=0.0)
+
+    def equals(self, other: "Clip") -> bool:
+        """Returns whether two clips have the same name and move the same joints in the same way."""
+        return (
+            self.name == other.name
+            and len(self.channels) == len(other.channels)
+            and all(
+                np.array_equal(one, another)
+                for ours, theirs in zip(self.channels, other.channels, strict=True)
+                for one, another in zip(astuple(ours), astuple(theirs), strict=True)
+            )
+        )
 
     def pose(self, rest: Pose, time: float) -> Pose:
         """Returns the pose at a time.

@@ -101,7 +101,10 @@ def _awaited(name: str) -> bytes:
             return bytes(_client().blocking_key_value_get_bytes(name, PATIENCE))
         except jax.errors.JaxRuntimeError as error:
             if "DEADLINE_EXCEEDED" not in str(error):
-                raise
+                reason = (
+                    f"process 0 cannot be reached any more ({error}). Its messages say why; resume the run."
+                )
+                raise InputError(reason) from error
         for _, text in _client().key_value_dir_get(ENDED):
             raise InputError(text)
 

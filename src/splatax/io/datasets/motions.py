@@ -73,7 +73,7 @@ def moving(
 
     Args:
         views: as the capture describes them.
-        motions: of photos by name.
+        motions: of photos by name. A note counts the names that no view has.
         resampled: names of undistorted photos. Their rows are not those that were exposed together, so their
             cameras stand still.
     """
@@ -83,6 +83,8 @@ def moving(
         count += moves
         found.append(replace(view, camera=replace(view.camera, motion=motions[view.name])) if moves else view)
     notes = [f"rolling shutter of {counted(count)}, from {FILE}"] if count else []
+    if unknown := len(motions.keys() - {view.name for view in found}):
+        notes.append(f"{FILE} names {counted(unknown)} that the capture does not have")
     if still := len(resampled & motions.keys()):
         notes.append(f"the motion of {counted(still)} is not used, because they are undistorted")
     return found, tuple(notes)

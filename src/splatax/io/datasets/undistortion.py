@@ -73,6 +73,24 @@ def undistortion(camera: "pycolmap.Camera", shrinking: float) -> "tuple[pycolmap
     return pinhole, Straightening(partial(bilinear, *lenses, sampled), words, size, sampled)
 
 
+def undistortion_of_files(
+    camera: "pycolmap.Camera", shrinking: float
+) -> "tuple[pycolmap.Camera, Straightening]":
+    """Returns a pinhole camera for the photos of a camera, and how they are undistorted at their own size.
+
+    Args:
+        camera: camera of the photos.
+        shrinking: factor by which the files will be shrunk when they are loaded. From 2 on they are
+            interpolated bilinearly, which is fast.
+    """
+    pinhole, straighten = undistortion(camera, shrinking)
+    if straighten.sampled is None:
+        return pinhole, straighten
+    size = pinhole.width, pinhole.height
+    words = f"bilinear {size} {described(camera)} {described(pinhole)}"
+    return pinhole, Straightening(partial(bilinear, described(camera), described(pinhole), size), words)
+
+
 def sizes(camera: "pycolmap.Camera", pinhole: "pycolmap.Camera", shrinking: float) -> tuple[Size, Size]:
     """Returns the size that a photo is shrunk to, and that at which it is interpolated.
 

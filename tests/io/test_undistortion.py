@@ -5,7 +5,14 @@ import pycolmap
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from splatax.io.datasets.undistortion import cubic, described, places_of, sources, undistortion
+from splatax.io.datasets.undistortion import (
+    cubic,
+    described,
+    places_of,
+    sources,
+    undistortion,
+    undistortion_of_files,
+)
 from splatax.resampling import LEVELS, resize
 
 SIZE = (480, 360)
@@ -87,3 +94,13 @@ def test_a_large_photo_is_decoded_at_half_its_size(factor):
     camera = pycolmap.Camera(model="SIMPLE_RADIAL", width=4000, height=3000, params=[2800, 2000, 1500, -0.1])
     _, straighten = undistortion(camera, factor)
     assert straighten.shrunk == (2000, 1500)
+
+
+@pytest.mark.parametrize("shrinking", [1.0, 3.0])
+def test_undistorted_files_have_the_size_of_the_photo_however_they_will_be_shrunk(shrinking):
+    camera, photo = lens("barrel"), detailed()
+    pinhole, straighten = undistortion_of_files(camera, shrinking)
+    straight = straighten(photo)
+    assert straight.shape == (pinhole.height, pinhole.width, 3)
+    exact = cubic(described(camera), described(pinhole), photo)
+    assert np.abs(straight.astype(float) - exact).mean() < 6

@@ -21,7 +21,7 @@ from splatax.dataset import Dataset
 from splatax.errors import InputError
 from splatax.io.memory import decoding
 from splatax.runs.budget import Changes
-from splatax.runs.checkpoints import NotKept
+from splatax.runs.checkpoints import NoCheckpoints
 from splatax.runs.history import History
 from splatax.runs.keeping import with_photos_kept
 from splatax.runs.machine import processor, versions
@@ -119,7 +119,7 @@ def follow(settings: Settings, history: History, earlier: Earlier | None) -> Non
     session = Following(
         reading,
         recipe,
-        NotKept(settings.checkpoint_steps),
+        NoCheckpoints(settings.checkpoint_steps),
         history,
         Changes(history.changes),
         eval_every=settings.eval_every,

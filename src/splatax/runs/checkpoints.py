@@ -133,7 +133,7 @@ class Checkpoints:
 
 
 @dataclass(frozen=True)
-class NotKept:
+class NoCheckpoints:
     """The checkpoints of a process that does not keep them: it only knows after which steps others save.
 
     Attributes:

@@ -13,7 +13,7 @@ from splatax.errors import InputError
 from splatax.evaluation import evaluate, picture
 from splatax.io.files import explained
 from splatax.runs.budget import Changes
-from splatax.runs.checkpoints import Checkpoints, NotKept
+from splatax.runs.checkpoints import Checkpoints, NoCheckpoints
 from splatax.runs.history import Evaluation, History, shrunk
 from splatax.training.loop import Progress, RunState, optimize
 from splatax.training.recipes import Recipe
@@ -63,7 +63,7 @@ class Session:
 
     dataset: Dataset
     recipe: Recipe
-    checkpoints: Checkpoints | NotKept
+    checkpoints: Checkpoints | NoCheckpoints
     history: History = field(default_factory=History)
     changes: Changes = field(default_factory=Changes)
     eval_every: int = 0

@@ -20,6 +20,7 @@ from splatax.errors import FormatError
 from splatax.gaussians import Gaussians
 from splatax.math import harmonics
 from splatax.training.loop import RunState, first_state
+from splatax.training.random_keys import as_integers, is_key
 from splatax.training.recipes import Recipe
 from splatax.training.step import TrainState
 
@@ -77,7 +78,7 @@ def take(state: Stoppable, header: Mapping[str, Any], arrays: Mapping[str, np.nd
     """
     leaves, _ = jax.tree_util.tree_flatten_with_path(state.train)
     # A copy, not a view: a view of a device array keeps the next step from using its memory again.
-    copies = {name_of(path): np.array(_plain(leaf)) for path, leaf in leaves}
+    copies = {name_of(path): np.array(as_integers(leaf)) for path, leaf in leaves}
     counts = {"step": int(state.train.step), "count": state.count}
     return Checkpoint({**header, **counts}, {**arrays, **copies})
 
@@ -185,19 +186,10 @@ def _shapes(stored: Mapping[str, np.ndarray], recipe: Recipe) -> TrainState:
     return jax.eval_shape(partial(first_state, recipe=recipe, extent=1.0, photos=photos), gaussians)
 
 
-def _plain(leaf: Any) -> Any:
-    """Returns random keys as integers, and other leaves as they are."""
-    return jax.random.key_data(leaf) if _is_key(leaf) else leaf
-
-
 def _as(array: np.ndarray, expected: jax.ShapeDtypeStruct, name: str) -> jax.Array:
-    if _is_key(expected):
+    if is_key(expected):
         return jax.random.wrap_key_data(jnp.array(array))
     if (array.shape, array.dtype) != (expected.shape, expected.dtype):
         found, wanted = f"{array.dtype}{array.shape}", f"{expected.dtype}{expected.shape}"
         raise FormatError(f"the state of another kind of run: {name} is {found}, not {wanted}")
     return jnp.array(array)
-
-
-def _is_key(leaf: Any) -> bool:
-    return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)

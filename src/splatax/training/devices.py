@@ -22,6 +22,7 @@ from jaxtyping import Array, Int
 
 from splatax.gaussians import Gaussians
 from splatax.training.capacity import pad
+from splatax.training.random_keys import is_key
 from splatax.training.step import TrainState
 
 AXIS = "device"
@@ -125,7 +126,7 @@ class Dealt:
         return range(own[0] * each, (own[-1] + 1) * each) if own else range(0)
 
     def _put(self, leaf: Array, place: PartitionSpec) -> Array:
-        if _is_key(leaf):
+        if is_key(leaf):
             return jax.random.wrap_key_data(self._put(jax.random.key_data(leaf), place))
         host = np.asarray(leaf)
         if place == ROWS:
@@ -138,7 +139,7 @@ class Dealt:
         return jax.make_array_from_callback(host.shape, sharding, lambda index: host[index])
 
     def _get(self, leaf: Array, place: PartitionSpec) -> Array:
-        if _is_key(leaf):
+        if is_key(leaf):
             return jax.random.wrap_key_data(self._get(jax.random.key_data(leaf), place))
         host = leaf if leaf.is_fully_addressable else multihost_utils.process_allgather(leaf, tiled=True)
         host = np.asarray(host)
@@ -230,7 +231,3 @@ def _resized(state: TrainState, rows: int) -> TrainState:
         opt_state=other(state.opt_state, places.opt_state),
         density_state=other(state.density_state, places.density_state),
     )
-
-
-def _is_key(leaf: Array) -> bool:
-    return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)

@@ -5,10 +5,10 @@ import re
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from splatax.dataset import Dataset
+from splatax.training.random_keys import as_integers
 from splatax.training.recipes import Recipe
 
 
@@ -44,16 +44,12 @@ def facts_of(recipe: Recipe, dataset: Dataset, state: Any) -> dict[str, str]:
     addresses = r" at 0x[0-9a-f]+"  # of functions: they differ between processes
     backend = recipe.drawing.backend
     settings = recipe.on(backend if isinstance(backend, str) else backend.name)
-    leaves = [jax.random.key_data(leaf) if _is_key(leaf) else leaf for leaf in jax.tree.leaves(state)]
+    leaves = map(as_integers, jax.tree.leaves(state))
     return {
         **{name: str(value) for name, value in fingerprint(dataset).items()},
         "recipe": _digest(re.sub(addresses, "", repr(settings)).encode()),
         "state before the first step": _digest(*(np.asarray(leaf).tobytes() for leaf in leaves)),
     }
-
-
-def _is_key(leaf: Any) -> bool:
-    return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
 
 
 def _digest(*parts: bytes) -> str:

@@ -23,7 +23,7 @@ from splatax.runs.planning import Deadline, Room, gaussians_here, smaller_photos
 from splatax.splits import Listed, listed_in
 from splatax.training.camera_refinement import check_lenses
 from splatax.training.initialize import Discs, InFrusta, focus_distance
-from splatax.training.recipes import MOST, PRESETS, detail_of, most_for, room_for
+from splatax.training.recipes import MOST, PRESETS, detail_of, most_for, room_for, steps_for
 
 MOST_LEFT_OUT = 0.5  # of the training photos that are left out
 POINTS = "points.ply"  # in the folder of a run that had to find its points
@@ -199,6 +199,18 @@ def planned(
     downscale, dataset = smaller
     say(f"too few steps for photos of this size: --downscale {downscale}")
     return planned(replace(settings, downscale=downscale), dataset, room, deadline)
+
+
+def with_default_steps(settings: Settings, dataset: sx.Dataset) -> Settings:
+    """Returns settings with the default number of steps, and prints it with several views or above 30,000."""
+    seen, choose = steps_for(dataset), "Choose another number: --steps"
+    steps = -(-seen // settings.views)
+    if settings.views > 1:
+        say(f"{steps:,} steps of {counted(settings.views)}, {seen:,} photos in all. {choose}")
+    elif steps > settings.steps:
+        count = photos_in(dataset.train)
+        say(f"{steps:,} steps, {steps // count} for each of {counted(count)}. {choose}")
+    return replace(settings, steps=steps)
 
 
 def limited_detail(settings: Settings, dataset: sx.Dataset, fit: int) -> str:

@@ -136,7 +136,7 @@ def optimize(
         state = first_state(padded, recipe, dataset.extent, rows_for(dataset.train))
         start = RunState(state, len(gaussians))
     stepper = stepper_for(recipe, devices, dataset.block)
-    stepper.meet(partial(facts_of, recipe, dataset, start.train))
+    stepper.synchronize(partial(facts_of, recipe, dataset, start.train))
     yield from _steps(dataset, recipe, start, pace or (lambda step: None), photo_room, stepper)
 
 

@@ -16,7 +16,7 @@ from splatax.training.devices import Dealt, devices_for
 from splatax.training.feed import Batch, batches
 from splatax.training.groups import steps_of
 from splatax.training.photo_cache import PhotoCache
-from splatax.training.processes import require_alike
+from splatax.training.processes import require_same
 from splatax.training.protocols import ResolutionSchedule
 from splatax.training.recipes import Recipe
 from splatax.training.schedule import Schedule
@@ -31,7 +31,7 @@ MOST_PROGRAMS = 4  # of training steps for a scene of one size; one takes second
 class Stepper(Protocol):
     """Feeds and makes steps, and knows where the arrays of a run live."""
 
-    def meet(self, facts: Callable[[], Mapping[str, str]]) -> None:
+    def synchronize(self, facts: Callable[[], Mapping[str, str]]) -> None:
         """Waits for the other processes that make the steps, if there are any, before the first one.
 
         Args:
@@ -71,7 +71,7 @@ class OneView:
 
     surroundings: Mapping[str, Any] = field(default_factory=dict)
 
-    def meet(self, facts: Callable[[], Mapping[str, str]]) -> None:
+    def synchronize(self, facts: Callable[[], Mapping[str, str]]) -> None:
         """Returns at once."""
 
     def placed(self, state: TrainState) -> TrainState:
@@ -107,10 +107,10 @@ class SeveralViews:
     dealt: Dealt
     surroundings: Mapping[str, Any] = field(default_factory=dict)
 
-    def meet(self, facts: Callable[[], Mapping[str, str]]) -> None:
+    def synchronize(self, facts: Callable[[], Mapping[str, str]]) -> None:
         """Compares facts with the processes of the other devices, and connects the devices."""
         if self.dealt.by_processes:
-            require_alike(facts())
+            require_same(facts())
             self.dealt.connect()
 
     def placed(self, state: TrainState) -> TrainState:

@@ -17,8 +17,8 @@ from jaxtyping import Bool
 
 from splatax.errors import FormatError
 from splatax.gaussians import Gaussians, broken
-from splatax.io.formats import glb
-from splatax.io.formats.glb_scene import ORIGINAL, VISIBILITY, Placed
+from splatax.io.formats import glb, glb_scene
+from splatax.io.formats.glb_scene import ORIGINAL, VISIBILITY, Glb, Placed
 from splatax.io.formats.marks import mark, marked
 from splatax.io.formats.untrusted import structured
 from splatax.scene import ColorMap, Option, Part, Scene, Variants, chosen
@@ -41,9 +41,8 @@ def load_scene(path: str | Path) -> Scene:
     Raises:
         FormatError: if the file is missing or damaged, is no .glb file, or has no splats.
     """
-    path = Path(path)
-    with _opened(path):
-        return Scene({name: part for name, (part, _) in _parts(path).items()})
+    with opened(path) as file:
+        return scene_in(file)
 
 
 def load_variants(path: str | Path) -> tuple[Scene, Variants]:
@@ -56,39 +55,53 @@ def load_variants(path: str | Path) -> tuple[Scene, Variants]:
     Raises:
         FormatError: see `load_scene`; or if the variants do not fit the parts.
     """
-    path = Path(path)
-    with _opened(path):
-        scene = Scene({name: _alone(part, extras) for name, (part, extras) in _parts(path).items()})
-        variants = {
-            str(variant["name"]): {
-                str(option["name"]): Option(
-                    tuple(map(str, option["shows"])),
-                    {str(part): _map(rows) for part, rows in option["colors"].items()},
-                )
-                for option in variant["options"]
-            }
-            for variant in glb.extras(path).get("variants", ())
-        }
-        check_variants(scene, variants)
-    return scene, variants
+    with opened(path) as file:
+        return variants_in(file)
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[None]:
-    """Turns errors about a file that is read inside into a `FormatError`."""
+def opened(path: str | Path) -> Iterator[Glb]:
+    """Reads a .glb file, and turns errors about it inside into a `FormatError`.
+
+    Raises:
+        FormatError: if the file is missing or damaged, or is no .glb file.
+    """
+    path = Path(path)
     _check_suffix(path)
     if not path.is_file():
         raise FormatError(f"{path}: no such file. Give a .glb file with splats.")
     with structured(path, path.suffix):
-        yield
+        yield glb_scene.read(path)
 
 
-def _parts(path: Path) -> dict[str, tuple[Part, dict[str, Any]]]:
+def scene_in(file: Glb) -> Scene:
+    """Returns the parts of a file; see `load_scene`."""
+    return Scene({name: part for name, (part, _) in _parts(file).items()})
+
+
+def variants_in(file: Glb) -> tuple[Scene, Variants]:
+    """Returns the parts of a file as without variants, and the variants; see `load_variants`."""
+    scene = Scene({name: _alone(part, extras) for name, (part, extras) in _parts(file).items()})
+    variants = {
+        str(variant["name"]): {
+            str(option["name"]): Option(
+                tuple(map(str, option["shows"])),
+                {str(part): _map(rows) for part, rows in option["colors"].items()},
+            )
+            for option in variant["options"]
+        }
+        for variant in glb.extras_in(file).get("variants", ())
+    }
+    check_variants(scene, variants)
+    return scene, variants
+
+
+def _parts(file: Glb) -> dict[str, tuple[Part, dict[str, Any]]]:
     """Returns the parts of a file as its nodes show them, each with what was noted at its node."""
-    comments = glb.comments(path)
+    comments = glb.comments_in(file)
     turned: dict[int, Gaussians] = {}
     parts: dict[str, tuple[Part, dict[str, Any]]] = {}
-    found = glb.placed(path, ORIGINAL)
+    found = glb.placed(file, ORIGINAL)
     for name, (at, gaussians) in zip(names_of([at for at, _ in found]), found, strict=True):
         if id(gaussians) not in turned:
             turned[id(gaussians)] = marked(half_turn(gaussians, axis=2), comments)

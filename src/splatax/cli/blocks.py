@@ -17,7 +17,8 @@ from splatax.cli.failures import advice
 from splatax.cli.options import Downscale, OverwriteFlag, flag, given, read_model, shown_as
 from splatax.cli.output import say, show
 from splatax.cli.page import tell_losses
-from splatax.cli.preparing import loaded, prepared, with_default_steps
+from splatax.cli.planning import with_default_steps
+from splatax.cli.preparing import loaded, prepared
 from splatax.cli.settings import NAMES, Settings
 from splatax.cli.stages import Stages
 from splatax.cli.train_options import Count, Method, Photos

@@ -9,7 +9,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from splatax.cli.output import say
-from splatax.cli.preparing import planned, prepared, with_default_steps
+from splatax.cli.planning import planned, with_default_steps
+from splatax.cli.preparing import prepared
 from splatax.cli.settings import Settings
 from splatax.dataset import Dataset
 from splatax.errors import InputError
@@ -188,6 +189,6 @@ def memory_for(settings: Settings, dataset: Dataset) -> Room:
 def planned_within(
     settings: Settings, dataset: Dataset, room: Room, deadline: Deadline | None = None
 ) -> Decided:
-    """Plans a run; see `preparing.planned`."""
+    """Plans a run; see `planning.planned`."""
     settings, dataset, expected = planned(settings, dataset, room, deadline)
     return Decided(settings, dataset, room, expected, deadline)

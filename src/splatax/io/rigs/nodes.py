@@ -3,7 +3,7 @@
 glTF is left-up-forward, ours right-down-forward: half a turn around z, as for splats in a .glb file.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -112,20 +112,30 @@ def _moving_nodes(file: Glb) -> Nodes:
             f"{file.path}: nothing in it can move: it has neither a skin nor nodes with meshes. Export the "
             "body with its skeleton."
         )
-    places: dict[int, int] = {}  # parents first
-    for node in sorted(wanted):
-        chain, passed = [node], {node}
-        while (above := parents.get(chain[-1], -1)) >= 0 and above not in places:
-            if above in passed:
-                raise FormatError(f"{file.path}: damaged: its nodes form a circle. Get the file again.")
-            chain.append(above)
-            passed.add(above)
-        for each in reversed(chain):
-            places.setdefault(each, len(places))
-    ids = list(places)
+    ids = _parents_first(file.path, wanted, parents)
     names = _unique((node, str(listed[node].get("name") or f"node {node}")) for node in ids)
+    places = {node: place for place, node in enumerate(ids)}
     tops = [places.get(parents.get(node, -1), -1) for node in ids]
     return Nodes(ids, tops, names, np.stack([_local(listed[node]) for node in ids]))
+
+
+def _parents_first(path: Path, wanted: Iterable[int], parents: Mapping[int, int]) -> list[int]:
+    """Returns nodes and all nodes above them, each after its parent.
+
+    Raises:
+        FormatError: if a node is above itself.
+    """
+    found: dict[int, None] = {}
+    for node in sorted(wanted):
+        chain = {node: None}  # from the node up to one that is found
+        above = parents.get(node)
+        while above is not None and above not in found:
+            if above in chain:
+                raise FormatError(f"{path}: damaged: its nodes form a circle. Get the file again.")
+            chain[above] = None
+            above = parents.get(above)
+        found.update(dict.fromkeys(reversed(chain)))
+    return list(found)
 
 
 def _meshes_of_splats(gltf: dict[str, Any]) -> set[int]:

@@ -77,10 +77,25 @@ def test_options_decide_over_the_recipe_and_nothing_else_does(capture):
     assert recipe.drawing.background == Solid((1.0, 1.0, 1.0))
     surfaces = Settings(capture, geometry=True).to_recipe(dataset)
     assert surfaces == replace(plain, objective=replace(plain.objective, geometry=Surfaces()))
+    weaker = Settings(capture, geometry=True, geometry_weight=0.25).to_recipe(dataset)
+    quarter = Surfaces(spread=0.025, points=0.15)
+    assert weaker == replace(plain, objective=replace(plain.objective, geometry=quarter))
     sky = Settings(capture, sky=True).to_recipe(dataset)
     assert sky == replace(plain, initialization=WithSky(plain.initialization))
     classic = Settings(capture, recipe="classic").to_recipe(dataset)
     assert classic == PRESETS["classic"].build().on(plain.drawing.backend)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--geometry", "--geometry-weight", "0"), "--geometry-weight: above 0, not 0.0"),
+        (("--geometry", "--geometry-weight", "nan"), "--geometry-weight: above 0, not nan"),
+        (("--geometry-weight", "0.5"), "--geometry-weight weighs penalties of --geometry: give that too"),
+    ],
+)
+def test_a_weight_of_geometry_that_makes_no_sense_is_refused(options, message, capture, tmp_path, capsys):
+    assert message in refused(capsys, "train", capture, "--out", tmp_path / "run", *options)
 
 
 def test_the_preset_says_whether_photos_are_weighed_by_default(capture, monkeypatch):

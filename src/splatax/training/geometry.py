@@ -13,7 +13,7 @@ transparent objects, and wrong points have large errors that no scene can avoid,
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import jax
@@ -66,6 +66,11 @@ class Surfaces:
     points: float = 0.6
     spread_limit: float = 0.05
     points_limit: float = 0.01
+
+    def times(self, factor: float) -> "Surfaces":
+        """Returns the same penalties with weights multiplied by a factor."""
+        spread, consistency, points = (factor * w for w in (self.spread, self.consistency, self.points))
+        return replace(self, spread=spread, consistency=consistency, points=points)
 
     @property
     def outputs(self) -> Mapping[str, Output]:

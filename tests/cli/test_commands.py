@@ -77,9 +77,8 @@ def test_options_decide_over_the_recipe_and_nothing_else_does(capture):
     assert recipe.drawing.background == Solid((1.0, 1.0, 1.0))
     surfaces = Settings(capture, geometry=True).to_recipe(dataset)
     assert surfaces == replace(plain, objective=replace(plain.objective, geometry=Surfaces()))
-    weaker = Settings(capture, geometry=True, geometry_weight=0.25).to_recipe(dataset)
-    quarter = Surfaces(spread=0.025, points=0.15)
-    assert weaker == replace(plain, objective=replace(plain.objective, geometry=quarter))
+    later = Settings(capture, geometry=True, geometry_after=0.4).to_recipe(dataset)
+    assert later == replace(plain, objective=replace(plain.objective, geometry=Surfaces(after=0.4)))
     sky = Settings(capture, sky=True).to_recipe(dataset)
     assert sky == replace(plain, initialization=WithSky(plain.initialization))
     classic = Settings(capture, recipe="classic").to_recipe(dataset)
@@ -89,12 +88,12 @@ def test_options_decide_over_the_recipe_and_nothing_else_does(capture):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--geometry", "--geometry-weight", "0"), "--geometry-weight: above 0, not 0.0"),
-        (("--geometry", "--geometry-weight", "nan"), "--geometry-weight: above 0, not nan"),
-        (("--geometry-weight", "0.5"), "--geometry-weight weighs penalties of --geometry: give that too"),
+        (("--geometry", "--geometry-after", "1"), "--geometry-after: from 0 to below 1, not 1.0"),
+        (("--geometry", "--geometry-after", "nan"), "--geometry-after: from 0 to below 1, not nan"),
+        (("--geometry-after", "0.4"), "--geometry-after is about --geometry: give that too"),
     ],
 )
-def test_a_weight_of_geometry_that_makes_no_sense_is_refused(options, message, capture, tmp_path, capsys):
+def test_a_start_of_geometry_that_makes_no_sense_is_refused(options, message, capture, tmp_path, capsys):
     assert message in refused(capsys, "train", capture, "--out", tmp_path / "run", *options)
 
 

@@ -198,7 +198,7 @@ EXAMPLES = {  # of options of `train`; a new option needs one
     "refine": "poses",
     "adjust_cameras": "poses",
     "geometry": True,
-    "geometry_weight": 0.5,
+    "geometry_after": 0.5,
     "photo_weights": "equal",
     "backend": "xla",
     "seed": 3,

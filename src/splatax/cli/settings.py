@@ -1,6 +1,5 @@
 """The options of a training run with all defaults filled in: what config.json and checkpoints record."""
 
-import math
 from collections.abc import Mapping, Set
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -82,7 +81,7 @@ class Settings:
     city: Path | None = None  # folder of a plan, for the run of one of its blocks
     block: int = 0
     geometry: bool = False
-    geometry_weight: float = 1.0
+    geometry_after: float = 0.0
     photo_weights: PhotoWeightsName = "auto"
     backend: BackendName = "auto"
     seed: int = 0
@@ -106,10 +105,10 @@ class Settings:
             value = getattr(self, name)
             if value != "auto" and not value >= least:
                 raise InputError(f"{flag(name)}: at least {least}, not {value}.")
-        if not 0 < self.geometry_weight < math.inf:
-            raise InputError(f"{flag('geometry_weight')}: above 0, not {self.geometry_weight}.")
-        if self.geometry_weight != 1 and not self.geometry:
-            raise InputError(f"{flag('geometry_weight')} weighs penalties of {flag('geometry')}: give that too.")
+        if not 0 <= self.geometry_after < 1:
+            raise InputError(f"{flag('geometry_after')}: from 0 to below 1, not {self.geometry_after}.")
+        if self.geometry_after and not self.geometry:
+            raise InputError(f"{flag('geometry_after')} is about {flag('geometry')}: give that too.")
         for name, read in (("budget", parse_seconds), ("memory", parse_bytes)):
             if (text := getattr(self, name)) is not None:
                 parsed(name, text, read)
@@ -150,7 +149,9 @@ class Settings:
         preset = PRESETS[self.recipe]
         recipe = preset.build(steps=self.steps, max_gaussians=self.most(dataset), views=self.views)
         if self.geometry:
-            recipe = replace(recipe, objective=replace(recipe.objective, geometry=Surfaces().times(self.geometry_weight)))
+            recipe = replace(
+                recipe, objective=replace(recipe.objective, geometry=Surfaces(after=self.geometry_after))
+            )
         weights = PHOTO_WEIGHTS[self.weighing(dataset)]
         recipe = replace(recipe, objective=replace(recipe.objective, weights=weights))
         drawing = Drawing(

@@ -18,6 +18,17 @@ MAY_CHANGE = {"checkpoint_every", "checkpoint_steps"}  # on resuming
 
 
 @dataclass(frozen=True)
+class Saving:
+    """Checkpoints during training."""
+
+    checkpoint_every: Annotated[float | None, shown_as("SECONDS")] = None
+    """Seconds between checkpoints. The last two are kept until the run has finished. By default 120; 0: only
+    when the run is interrupted, and at its end."""
+    checkpoint_steps: Count = None
+    """Additionally save a checkpoint every N steps. By default 0: off."""
+
+
+@dataclass(frozen=True)
 class RigCommand:
     """Train Gaussians that follow a skeleton, from photos of it in known poses.
 
@@ -53,16 +64,12 @@ class RigCommand:
     correct when zoomed out; "along-rays": exact in perspective, as in 2DGS. By default "dilation"."""
     seed: Count = None
     """Random seed. By default 0."""
-    checkpoint_every: Annotated[float | None, shown_as("SECONDS")] = None
-    """Seconds between checkpoints. The last two are kept until the run has finished. By default 120; 0: only
-    when the run is interrupted, and at its end."""
-    checkpoint_steps: Count = None
-    """Additionally save a checkpoint every N steps. By default 0: off."""
     resume: Annotated[Path | None, shown_as("RUN")] = None
     """Resume an interrupted run, given its folder or one of its checkpoint files. All other options are
     those of the earlier run."""
     overwrite: OverwriteFlag = False
     """Replace the results of an earlier run in the output folder."""
+    saving: Saving = Saving()
 
     def run(self) -> None:
         chosen = {name: value for name, value in given(self).items() if name in NAMES}

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import splatax as sx
-from splatax.blocks.plan import PLAN, digest_of
+from splatax.blocks.plan import PLAN
 from splatax.cli.options import (
     AdjustmentName,
     AppearanceName,
@@ -23,6 +23,7 @@ from splatax.cli.options import (
     resolve_backend,
 )
 from splatax.dataset import photos_in
+from splatax.digests import file_digest
 from splatax.errors import InputError
 from splatax.low_pass import LOW_PASSES
 from splatax.runs.budget import parse_bytes, parse_seconds
@@ -181,7 +182,7 @@ class Settings:
     def initialization(self) -> Initialization:
         """Returns how the first Gaussians are created."""
         if self.city:
-            return FromBlock(digest_of(self.city / PLAN), self.block)
+            return FromBlock(file_digest(self.city / PLAN), self.block)
         preset = PRESETS[self.recipe]
         start = (
             preset.random_start if self.init == "random" else preset.build(steps=self.steps).initialization

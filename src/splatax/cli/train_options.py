@@ -91,8 +91,8 @@ class Devices:
 
     views: Count = None
     """Number of photos in each step (batch size). They are divided among all devices that JAX finds; the
-    scene depends on this number, not on the number of devices. It excludes --budget and --within. By
-    default 1."""
+    scene depends on this number, not on the number of devices. It excludes --budget and --within, which plan
+    steps by the measured speed of one photo in each step. By default 1."""
     hosts: Annotated[str | None, shown_as("{auto,ADDRESS:PORT,COUNT,INDEX}")] = None
     """Train together with other processes, which run the same command; needs --views. "auto": as JAX finds
     them (SLURM, Open MPI, Kubernetes, TPU pods); else the address of process 0, the number of processes, and

@@ -55,6 +55,11 @@ class Photos:
     """Start from the coloured points of this file instead of those of the capture."""
     judged_by: Annotated[Path | None, shown_as("RUN")] = None
     """Quote the scores of another run of this capture in the report, for a run that holds out no photos."""
+    photo_weights: Annotated[PhotoWeightsName | None, shown_as()] = None
+    """Weights of photos in training. "robust": photos whose loss stays far above that of the others after a
+    third of the run get a lower weight, because their pose is wrong or they show something else; "equal": all
+    photos have the same weight. By default "auto": robust for the recipe "default" from 10 training photos
+    on, else equal."""
 
 
 @dataclass(frozen=True)
@@ -143,11 +148,6 @@ class Method:
     geometry_after: Annotated[float | None, shown_as("FRACTION")] = None
     """Fraction of the run after which the penalties of --geometry begin. With 0.4, scenes of photos keep
     their PSNR to 0.3 dB, and depths are a little less accurate. By default 0."""
-    photo_weights: Annotated[PhotoWeightsName | None, shown_as()] = None
-    """Weights of photos in training. "robust": photos whose loss stays far above that of the others after a
-    third of the run get a lower weight, because their pose is wrong or they show something else; "equal": all
-    photos have the same weight. By default "auto": robust for the recipe "default" from 10 training photos
-    on, else equal."""
     backend: Annotated[BackendName | None, shown_as()] = None
     """Rendering backend. If the named one is unavailable, the command fails instead of falling back. By
     default "auto": the fastest one available."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -101,6 +102,7 @@ def joined(scenes: Sequence[Gaussians]) -> Gaussians:
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *padded)
 
 
+@partial(jax.jit, inline=True)  # as in math/quaternions.py
 def is_sound(
     mean: Float[Array, "3"],
     quat: Float[Array, "4"],

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from splatax.cameras import Camera
 from splatax.gaussians import Gaussians, broken
@@ -147,4 +147,9 @@ def _floaters(
 
 
 def _keep(gaussians: Gaussians, mask: Bool[np.ndarray, " n"]) -> Gaussians:
-    return jax.tree.map(lambda leaf: leaf[mask], gaussians)
+    return _rows(gaussians, np.flatnonzero(mask))
+
+
+@jax.jit
+def _rows(gaussians: Gaussians, rows: Int[Array, " m"]) -> Gaussians:
+    return jax.tree.map(lambda leaf: leaf[rows], gaussians)

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from splatax.cameras import Camera
-from splatax.gaussians import Gaussians, broken
+from splatax.gaussians import Gaussians, broken, rows_of
 from splatax.math.neighbours import mean_squared_distances
 from splatax.rendering import Renderer
 from splatax.splats import MIN_ALPHA
@@ -147,9 +147,4 @@ def _floaters(
 
 
 def _keep(gaussians: Gaussians, mask: Bool[np.ndarray, " n"]) -> Gaussians:
-    return _rows(gaussians, np.flatnonzero(mask))
-
-
-@jax.jit
-def _rows(gaussians: Gaussians, rows: Int[Array, " m"]) -> Gaussians:
-    return jax.tree.map(lambda leaf: leaf[rows], gaussians)
+    return rows_of(gaussians, np.flatnonzero(mask))

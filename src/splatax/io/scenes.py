@@ -11,12 +11,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Bool
 
 from splatax.errors import FormatError
-from splatax.gaussians import Gaussians, broken
+from splatax.gaussians import Gaussians, broken, rows_of
 from splatax.io.formats import glb
 from splatax.io.formats.glb_scene import ORIGINAL, VISIBILITY, Placed
 from splatax.io.formats.marks import mark, marked
@@ -267,7 +266,7 @@ def half_turned(pose: Similarity) -> Similarity:
 def _mesh(part: Part) -> glb.Mesh:
     """Returns the sound Gaussians of a part, with and without its map of colours."""
     whole, keep = part.gaussians, sound_rows(part.gaussians)
-    sound = whole if keep.all() else jax.tree.map(lambda leaf: leaf[keep], whole)
+    sound = whole if keep.all() else rows_of(whole, np.flatnonzero(keep))
     return glb.Mesh(sound) if part.color is None else glb.Mesh(part.color.transform(sound), sound)
 
 

@@ -66,9 +66,10 @@ $(VIEWER): web/package-lock.json web/build.mjs $(wildcard web/src/*.js)
 clean:
 	rm -rf $(VENV) build dist web/node_modules $(VIEWER)
 
+# Python compiles a module when it is first imported. Most of the ten thousand that are installed never are.
 $(READY): pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "splatax needs Python 3.11 or newer; try make PYTHON=python3.12 ...")'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --editable '.[test]'
+	$(BIN)/python -m pip install --quiet --no-compile --upgrade pip
+	$(BIN)/python -m pip install --quiet --no-compile --editable '.[test]'
 	touch $@

@@ -23,6 +23,7 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     atexit.register(shutil.rmtree, os.environ["JAX_COMPILATION_CACHE_DIR"], ignore_errors=True)
 
 import jax
+import numpy as np
 import pytest
 from jaxtyping import install_import_hook
 
@@ -43,6 +44,9 @@ if "SPLATAX_NATIVE" in os.environ:  # another build of the native library: `make
     from splatax.backends.cpu import library
 
     library.FOLDER = Path(os.environ["SPLATAX_NATIVE"])
+_compiled = jax.lax.stage_p.impl if "stage_p" in vars(jax.lax) else None
+if _compiled:  # by jax 0.10.2, a program for each shape of NumPy array that `jnp.asarray` gets
+    jax.lax.stage_p.def_impl(lambda x: jax.device_put(x) if np.ndim(x) else _compiled(x))
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 

@@ -1,7 +1,8 @@
-"""The part of splatax that works with only jax, optax, jaxtyping and numpy: python minimal.py [ARRAYS.npz]
+"""The part of splatax that needs only jax, optax, jaxtyping and numpy: python minimal.py [PATH [complete]]
 
-With a path, also trains, differentiates in every way, and writes the picture and the derivatives that it has
-checked.
+With the path of an .npz file, also trains, differentiates in every way, and writes the picture and the
+derivatives that it has checked. The word `complete` says that all other packages are there, so that none is
+told to be missing.
 """
 
 import json
@@ -80,7 +81,8 @@ def derivatives():
     return jax.tree.leaves((tangent, jacobian, batch, batch_of_jacobians, product))
 
 
-with tempfile.TemporaryDirectory() as folder:  # a capture with one photo, to be decoded by pillow
+def packages_that_are_missing_are_named(folder):
+    """A capture has one photo, to be decoded by pillow."""
     frame = {"file_path": "photo.png", "transform_matrix": np.eye(4).tolist()}
     capture = {"fl_x": 30, "fl_y": 30, "cx": 16, "cy": 12, "w": 32, "h": 24, "frames": [frame]}
     Path(folder, "transforms.json").write_text(json.dumps(capture))
@@ -96,6 +98,10 @@ with tempfile.TemporaryDirectory() as folder:  # a capture with one photo, to be
             said = str(error)
         assert "pip install" in said, said
 
+
+if sys.argv[2:] != ["complete"]:
+    with tempfile.TemporaryDirectory() as folder:
+        packages_that_are_missing_are_named(folder)
 if sys.argv[1:]:
     dataset = sx.demo_dataset(photos=3, width=32, height=24)
     recipe = sx.recipes.default(steps=2, max_gaussians=3000).on(backend)

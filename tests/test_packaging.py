@@ -98,13 +98,14 @@ def test_one_wheel_runs_without_a_compiler_and_on_the_oldest_and_the_newest_jax(
     printed = run(complete / "splatax", "doctor", PATH=path, **quick)
     assert " available" in next(line for line in printed.splitlines() if " cpu-baseline " in line)
 
+    oldest = environment_with(
+        tmp_path / "oldest", f"jax=={OLDEST}", f"jaxlib=={OLDEST}", "optax", "jaxtyping", "numpy"
+    )
+    pip("--python", oldest / "python", "install", "--quiet", "--no-deps", wheel)
     results = []
-    for name, jax in (("oldest", [f"jax=={OLDEST}", f"jaxlib=={OLDEST}"]), ("newest", ["jax"])):
-        minimal = environment_with(tmp_path / name, *jax, "optax", "jaxtyping", "numpy")
-        pip("--python", minimal / "python", "install", "--quiet", "--no-deps", wheel)
-        arrays = tmp_path / f"{name}.npz"
-        script = Path(__file__).with_name("minimal.py")
-        run(minimal / "python", script, arrays, **quick)
+    for programs, *word in ((oldest,), (complete, "complete")):  # pip has given the latter the newest jax
+        arrays = tmp_path / f"{len(results)}.npz"
+        run(programs / "python", Path(__file__).with_name("minimal.py"), arrays, *word, **quick)
         results.append(list(np.load(arrays).values()))
     for oldest, newest in zip(*results, strict=True):
         assert_allclose(oldest, newest, **SINGLE_PRECISION)

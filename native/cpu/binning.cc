@@ -1,6 +1,7 @@
 #include "binning.h"
 
 #include <algorithm>
+#include <cmath>
 #include <cstring>
 #include <numeric>
 

@@ -1,6 +1,8 @@
 // Logarithms of sixteen floats at once, or of one.
 #pragma once
 
+#include <cmath>
+
 #include "lanes.h"
 
 namespace splatax {

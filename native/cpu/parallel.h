@@ -1,20 +1,22 @@
-// Parallel loops on XLA's own threads.
+// Parallel loops on XLA's own threads. Kernels are compiled without XLA's headers, which take longer than most kernels.
 #pragma once
 
 #include <algorithm>
 #include <atomic>
+#include <cstdint>
 #include <functional>
 #include <memory>
 #include <thread>
-
-#include "xla/ffi/api/ffi.h"
+#include <utility>
 
 namespace splatax {
 
 class Workers {
  public:
-  // Uses all threads of the pool, or `limit` of them if that is not zero.
-  Workers(xla::ffi::ThreadPool pool, int64_t limit) : pool_(pool) {
+  // Uses all threads of an xla::ffi::ThreadPool, or `limit` of them if that is not zero.
+  template <class ThreadPool>
+  Workers(ThreadPool pool, int64_t limit)
+      : schedule_([pool](std::function<void()> task) mutable { pool.Schedule(std::move(task)); }) {
     const int64_t threads = std::max<int64_t>(pool.num_threads(), 1);
     count_ = static_cast<int>(limit > 0 ? std::min(limit, threads) : threads);
   }
@@ -38,7 +40,7 @@ class Workers {
     job->size = n;
     job->task = &task;
     for (int helper = 1; helper < std::min(n, count_); ++helper) {
-      pool_.Schedule([job] { job->work(); });
+      schedule_([job] { job->work(); });
     }
     job->work();
     job->wait();
@@ -87,7 +89,7 @@ class Workers {
     }
   };
 
-  xla::ffi::ThreadPool pool_;
+  std::function<void(std::function<void()>)> schedule_;
   int count_;
 };
 

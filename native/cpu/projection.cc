@@ -1,3 +1,5 @@
+#include <type_traits>
+
 #include "frustum.h"
 
 namespace splatax {

@@ -1,6 +1,8 @@
 // The fisheye of Kannala and Brandt: a polynomial of the angle from the axis.
 #pragma once
 
+#include <cmath>
+
 #include "projection_bent.h"
 
 namespace splatax {

@@ -2,6 +2,8 @@
 // Gaussians at once.
 #pragma once
 
+#include <cmath>
+
 #include "columns.h"
 #include "harmonics.h"
 #include "logarithm.h"

@@ -1,6 +1,8 @@
 // The gradient of the projection for sixteen Gaussians, and their parts of the camera's.
 #pragma once
 
+#include <cmath>
+
 #include "projection_lanes.h"
 
 namespace splatax {

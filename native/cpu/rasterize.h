@@ -1,6 +1,9 @@
 // Operations of the rasterizer: the image, and its gradient.
 #pragma once
 
+#include <memory>
+#include <vector>
+
 #include "binning.h"
 #include "parallel.h"
 #include "splats.h"

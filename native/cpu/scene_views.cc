@@ -1,6 +1,7 @@
 #include "scene_views.h"
 
 #include <algorithm>
+#include <vector>
 
 #include "harmonics.h"
 #include "views.h"

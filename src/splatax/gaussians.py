@@ -2,11 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from splatax.low_pass import Dilation, LowPass
 from splatax.math import ellipsoids, harmonics
@@ -101,6 +102,7 @@ def joined(scenes: Sequence[Gaussians]) -> Gaussians:
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *padded)
 
 
+@partial(jax.jit, inline=True)  # as in math/quaternions.py
 def is_sound(
     mean: Float[Array, "3"],
     quat: Float[Array, "4"],
@@ -115,6 +117,12 @@ def is_sound(
     """
     finite = jnp.all(jnp.isfinite(mean)) & jnp.all(jnp.isfinite(quat)) & jnp.all(jnp.isfinite(sh))
     return finite & jnp.all(log_scale < jnp.inf) & ~jnp.isnan(logit)
+
+
+@jax.jit
+def rows_of(gaussians: Gaussians, rows: Int[Array, " m"]) -> Gaussians:
+    """Returns some of the Gaussians, by their rows."""
+    return jax.tree.map(lambda leaf: leaf[rows], gaussians)
 
 
 def broken(gaussians: Gaussians) -> Bool[np.ndarray, " n"]:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from splatax.cameras import Camera
-from splatax.gaussians import Gaussians, broken
+from splatax.gaussians import Gaussians, broken, rows_of
 from splatax.math.neighbours import mean_squared_distances
 from splatax.rendering import Renderer
 from splatax.splats import MIN_ALPHA
@@ -147,4 +147,4 @@ def _floaters(
 
 
 def _keep(gaussians: Gaussians, mask: Bool[np.ndarray, " n"]) -> Gaussians:
-    return jax.tree.map(lambda leaf: leaf[mask], gaussians)
+    return rows_of(gaussians, np.flatnonzero(mask))

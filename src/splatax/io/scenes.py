@@ -11,17 +11,16 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Bool
 
 from splatax.errors import FormatError
-from splatax.gaussians import Gaussians, broken
+from splatax.gaussians import Gaussians, broken, rows_of
 from splatax.io.formats import glb, glb_scene
 from splatax.io.formats.glb_scene import ORIGINAL, VISIBILITY, Glb, Placed
 from splatax.io.formats.marks import mark, marked
 from splatax.io.formats.untrusted import structured
-from splatax.io.variants import listed, map_of, rows_of, variants_of
+from splatax.io.variants import listed, map_of, numbers_of, variants_of
 from splatax.scene import Part, Scene, Variants, chosen
 from splatax.scene.variants import check_variants
 from splatax.transforms import Similarity, half_turn
@@ -182,7 +181,7 @@ def written(path: Path, scene: Scene, variants: Variants, comments: tuple[str, .
         if part is not (own := scene[name]):
             node.setdefault("extras", {"splatax": {}})["splatax"]["alone"] = {
                 "visible": bool(own.visible > 0),
-                "color": rows_of(own.color),
+                "color": numbers_of(own.color),
             }
     kept = {"variants": listed(variants)} if variants else {}
     return Written(nodes, meshes, (mark(filters.pop()), *comments), kept)
@@ -227,7 +226,7 @@ def _node(name: str, part: Part, mesh: int) -> dict[str, Any]:
     if part.visible <= 0:
         node["extensions"] = {VISIBILITY: {"visible": False}}
     if part.color is not None:
-        node["extras"] = {"splatax": {"color": rows_of(part.color)}}
+        node["extras"] = {"splatax": {"color": numbers_of(part.color)}}
     return node
 
 
@@ -240,7 +239,7 @@ def half_turned(pose: Similarity) -> Similarity:
 def _mesh(part: Part) -> glb.Mesh:
     """Returns the sound Gaussians of a part, with and without its map of colours."""
     whole, keep = part.gaussians, sound_rows(part.gaussians)
-    sound = whole if keep.all() else jax.tree.map(lambda leaf: leaf[keep], whole)
+    sound = whole if keep.all() else rows_of(whole, np.flatnonzero(keep))
     return glb.Mesh(sound) if part.color is None else glb.Mesh(part.color.transform(sound), sound)
 
 

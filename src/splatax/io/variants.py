@@ -17,7 +17,7 @@ def listed(variants: Variants) -> list[dict[str, Any]]:
                 {
                     "name": name,
                     "shows": list(option.shows),
-                    "colors": {part: rows_of(color) for part, color in option.colors.items()},
+                    "colors": {part: numbers_of(color) for part, color in option.colors.items()},
                 }
                 for name, option in options.items()
             ],
@@ -48,7 +48,7 @@ def map_of(rows: Any) -> ColorMap:
     return ColorMap(numbers[:, :3], numbers[:, 3])
 
 
-def rows_of(color: ColorMap | None) -> list[list[float]] | None:
+def numbers_of(color: ColorMap | None) -> list[list[float]] | None:
     """Returns the rows of the matrix of a map of colours, each with its offset; None for no map."""
     if color is None:
         return None

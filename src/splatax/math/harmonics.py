@@ -6,7 +6,7 @@ supported (Sloan 2013, "Efficient Spherical Harmonic Evaluation").
 """
 
 import math
-from functools import cache
+from functools import cache, partial
 from typing import TypeVar
 
 import jax
@@ -41,6 +41,7 @@ def degree_of(coefficients: int) -> int:
     return degree
 
 
+@partial(jax.jit, static_argnames="degree", inline=True)  # as in quaternions.py
 def basis(direction: Float[Array, "3"], degree: int) -> Float[Array, " k"]:
     """Returns the (degree + 1)^2 basis functions at a unit direction, from the camera to the Gaussian."""
     x, y, z = direction

@@ -1,9 +1,16 @@
 """Rotations as quaternions (w, x, y, z); `jax.vmap` maps the functions over many."""
 
+from functools import partial
+
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+# Outside of `jax.jit`, a function is one program instead of one for each of its operations.
+_at_once = partial(jax.jit, inline=True)
 
+
+@_at_once
 def normalize(quat: Float[Array, "4"]) -> Float[Array, "4"]:
     """Returns the unit quaternion of the same rotation; zero stays zero, with a zero gradient."""
     squared = quat @ quat
@@ -11,6 +18,7 @@ def normalize(quat: Float[Array, "4"]) -> Float[Array, "4"]:
     return jnp.where(positive, quat / jnp.sqrt(jnp.where(positive, squared, 1)), 0)
 
 
+@_at_once
 def multiply(a: Float[Array, "4"], b: Float[Array, "4"]) -> Float[Array, "4"]:
     """Returns the Hamilton product a b, which is the rotation `b` followed by `a`."""
     w, x, y, z = a
@@ -18,6 +26,7 @@ def multiply(a: Float[Array, "4"], b: Float[Array, "4"]) -> Float[Array, "4"]:
     return left @ b
 
 
+@_at_once
 def to_rotation(quat: Float[Array, "4"]) -> Float[Array, "3 3"]:
     """Returns the rotation matrix of a quaternion of any length. The zero quaternion gives the identity."""
     w, x, y, z = normalize(quat)
@@ -30,6 +39,7 @@ def to_rotation(quat: Float[Array, "4"]) -> Float[Array, "3 3"]:
     )
 
 
+@_at_once
 def from_rotation(matrix: Float[Array, "3 3"]) -> Float[Array, "4"]:
     """Returns a unit quaternion of a rotation matrix, with a derivative at every rotation.
 

@@ -1,5 +1,7 @@
 """Rigid transforms as 4 x 4 matrices, and the twists that generate them."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -7,6 +9,7 @@ from jaxtyping import Array, Float
 SMALL = 1e-4  # squared radians below which the series is exact to float32
 
 
+@partial(jax.jit, inline=True)  # as in quaternions.py
 @jax.default_matmul_precision("highest")
 def exponential(twist: Float[Array, "6"]) -> Float[Array, "4 4"]:
     """Returns the exponential of a twist (w, v): a rotation by |w| radians about w, and a translation V v.

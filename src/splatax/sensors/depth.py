@@ -1,6 +1,7 @@
 """Depth cameras: depth along the axis or the ray, normals, and point clouds; noise and dropouts."""
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Literal
 
 import jax
@@ -172,6 +173,7 @@ class PointCloud(Plain):
         return jnp.where(valid[..., None], points, jnp.nan)
 
 
+@partial(jax.jit, inline=True)  # as in math/quaternions.py
 def local_points(camera: Camera, depth: Float[Array, "h w"]) -> Float[Array, "h w 3"]:
     """Returns the points of a depth image in camera axes, at the moment when their row is exposed.
 

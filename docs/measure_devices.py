@@ -1,4 +1,4 @@
-"""Measures the cost of dividing a training step among devices: two against one, and the program for several.
+"""Measures the cost of dividing a training step among devices: two against one, and a named one against none.
 
 python docs/measure_devices.py [GAUSSIANS WIDTH HEIGHT ROUNDS]
 
@@ -27,14 +27,14 @@ from splatax.training.loop import Progress, RunState, first_state, optimize  # n
 from splatax.training.recipes import ShSchedule, with_views  # noqa: E402
 
 VIEWS, AT_ONCE = 8, 4  # photos of a step; steps between two looks at the clocks
-WAYS = {  # photos of a step and number of devices; None for the program that looks at one photo
-    "1 photo, plain program": (1, None),
-    "1 photo, program for several": (1, 1),
+WAYS = {  # photos of a step and number of devices; None if none is named
+    "1 photo": (1, None),
+    "1 photo on a device that is named": (1, 1),
     f"{VIEWS} photos on 1 device": (VIEWS, 1),
     f"{VIEWS} photos on 2 devices": (VIEWS, 2),
 }
 PAIRS = (
-    ("1 photo, program for several", "1 photo, plain program"),
+    ("1 photo on a device that is named", "1 photo"),
     (f"{VIEWS} photos on 2 devices", f"{VIEWS} photos on 1 device"),
 )
 

@@ -32,6 +32,7 @@ from splatax.training.loop import first_state
 from splatax.training.optimizer import LearningRates, Optimizer
 from splatax.training.recipes import ShSchedule, with_views
 from splatax.training.step import compare
+from splatax.training.views import step_on_views
 
 HERE = Path(__file__).parent
 ENVIRONMENT = as_users_compile(PYTHONPATH=f"{HERE.parent}:{HERE}")
@@ -169,6 +170,17 @@ def test_training_on_several_views_a_step_learns():
     after = history[-1][3].gaussians
     assert history[-1][2] > 80
     assert sx.evaluate(after, dataset.test).psnr > sx.evaluate(before, dataset.test).psnr + 3
+
+
+def test_one_view_a_step_trains_by_the_plain_program_on_a_device_that_is_named():
+    dataset, recipe = capture(), replace(RECIPE, steps=25)
+    programs = step_on_views._cache_size()
+    named, unnamed = (
+        list(sx.optimize(dataset, recipe, devices=devices))[-1].state for devices in (jax.devices()[:1], None)
+    )
+    assert step_on_views._cache_size() == programs
+    scenes = (jax.tree.leaves(state.train.gaussians) for state in (named, unnamed))
+    assert all(np.array_equal(one, other) for one, other in zip(*scenes, strict=True))
 
 
 def test_a_step_on_several_views_follows_the_mean_of_their_gradients():

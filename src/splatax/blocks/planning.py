@@ -19,8 +19,9 @@ from splatax.errors import InputError
 from splatax.gaussians import Gaussians
 from splatax.training.fingerprints import fingerprint
 
-COARSER = 6  # times fewer Gaussians than all blocks will have, and not more than one block
-SHORTER = 5  # times fewer steps
+COARSER = 4  # times fewer Gaussians than all blocks will have, and not more than one block
+SHORTER = 5  # times fewer steps,
+LEAST_STEPS = 2_000  # but not fewer than this: its errors limit all blocks. Or all steps, if there are fewer
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,8 @@ class Work:
     def coarse(self, blocks: int) -> "Work":
         """Returns the size of the coarse run for so many blocks."""
         gaussians = min(self.gaussians // COARSER, math.ceil(self.gaussians / blocks))
-        return Work(max(gaussians, blocks), max(self.steps // SHORTER, 1))
+        steps = max(self.steps // SHORTER, min(self.steps, LEAST_STEPS))
+        return Work(max(gaussians, blocks), max(steps, 1))
 
 
 def thinned(points: PointCloud, count: int, seed: int) -> PointCloud:

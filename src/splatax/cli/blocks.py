@@ -61,8 +61,9 @@ class PlanBlocks:
     downscale: Annotated[Downscale | None, shown_as("{auto,N}")] = None
     """Divide the width and height of photos by this number. By default as for splatax train."""
     coarse: Annotated[Path | None, shown_as("MODEL")] = None
-    """Coarse scene of the whole capture: a splat file, or the folder of a run. By default a run with a sixth
-    of the Gaussians, but not more than a block has, and a fifth of the steps."""
+    """Coarse scene of the whole capture: a splat file, or the folder of a run. By default a run with a
+    quarter of the Gaussians, but not more than a block has, and a fifth of the steps, but at least 2,000, or
+    all if there are fewer."""
     photos: Photos = Photos()
     method: Method = Method()
     overwrite: OverwriteFlag = False

@@ -63,20 +63,22 @@ class Stepper(Protocol):
 
 @dataclass(frozen=True)
 class OneView:
-    """Steps on one view, on JAX's default device.
+    """Steps on one view, on one device.
 
     Attributes:
         surroundings: fields of `Batch` that are the same in all steps.
+        device: the device; None for JAX's default.
     """
 
     surroundings: Mapping[str, Any] = field(default_factory=dict)
+    device: jax.Device | None = None
 
     def synchronize(self, facts: Callable[[], Mapping[str, str]]) -> None:
         """Returns at once."""
 
     def placed(self, state: TrainState) -> TrainState:
-        """Returns the state as it is."""
-        return state
+        """Returns the state as it is, on the device."""
+        return state if self.device is None else jax.device_put(state, self.device)
 
     def gathered(self, state: TrainState, rows: int) -> TrainState:
         """Returns the state as it is."""
@@ -153,7 +155,7 @@ def stepper_for(recipe: Recipe, devices: Sequence[jax.Device] | None, block: Blo
 
     Args:
         recipe: the settings.
-        devices: on which; None for as many as divide the views of a step.
+        devices: on which; None for as many as divide the views of a step. One view is drawn by one device.
         block: the part of the scene that is trained; None for all of it.
 
     Raises:
@@ -164,6 +166,8 @@ def stepper_for(recipe: Recipe, devices: Sequence[jax.Device] | None, block: Blo
     around = {} if block is None else {"context": block.context, "fraction": jnp.float32(block.fraction)}
     if recipe.views == 1 and devices is None:
         return OneView(around)
+    if recipe.views == 1 and devices is not None and len(devices) == 1 and jax.process_count() == 1:
+        return OneView(jax.device_put(around, devices[0]), devices[0])
     sharding = Sharding(devices_for(recipe.views, devices))
     everywhere = jax.tree.map(lambda leaf: sharding.everywhere(np.asarray(leaf)), around)
     return SeveralViews(sharding, everywhere)

@@ -62,7 +62,7 @@ class Classic:
     def observe(self, state: Observed, splats: Splats, d_splats: Splats) -> Observed:
         """Adds one view to the statistics."""
         pull, visible = pulls(splats, d_splats)
-        screen = jnp.max(splats.extents, axis=1) / max(splats.width, splats.height)
+        screen = jnp.maximum(splats.extents[:, 0], splats.extents[:, 1]) / max(splats.width, splats.height)
         return Observed(
             state.pull + pull,
             state.views + visible.astype(state.views.dtype),

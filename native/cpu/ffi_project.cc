@@ -103,7 +103,6 @@ ffi::Error project_forward_mode(ffi::ThreadPool threads, FloatArray means, Float
   checks.shape("d_depths", d_depths, {n}).shape("d_colors", d_colors, {n, 3}).shape("d_opacities", d_opacities, {n});
   if (checks.failed()) return checks.error("project_tangent");
   return guarded("project_tangent", [&] {
-    all_in_large_pages(d_means2d, d_sqrt_conics, d_depths, d_colors, d_opacities);
     const auto of = [&](const FloatArray& tangent, int64_t view) -> const float* {
       return moves(tangent) ? batch.of(tangent, view) : nullptr;
     };

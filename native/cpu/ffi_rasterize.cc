@@ -129,7 +129,6 @@ ffi::Error rasterize_forward_mode(ffi::ThreadPool threads, FloatArray means2d, F
   checks.shape("d_sums", d_sums, {h, w, c}).shape("d_alpha", d_alpha, {h, w});
   if (checks.failed()) return checks.error("rasterize_tangent");
   return guarded("rasterize_tangent", [&, h = h, w = w] {
-    all_in_large_pages(d_sums, d_alpha);
     // Directions at the same splats share a walk.
     std::map<std::array<const float*, 6>, std::vector<int>> views_at;
     for (int view = 0; view < batch.views(); ++view) {

@@ -1,6 +1,5 @@
 // XLA custom calls of a batch of views of one scene.
 #include "ffi_fields.h"
-#include "large_pages.h"
 #include "scene_views.h"
 
 namespace splatax {
@@ -66,7 +65,6 @@ ffi::Error scene_forward(ffi::ThreadPool threads, FloatArray means, FloatArray q
   checks.shape("alpha", alpha, {scene[2], image[0], image[1]});
   if (checks.failed()) return checks.error("scene_forward");
   return guarded("scene_forward", [&] {
-    all_in_large_pages(sums, alpha);
     Workers workers(threads, thread_limit);
     auto memory = memories.take();
     draw_views(views_of(arrays, scene, image, {max_pairs, variance, fades, least_fade}),

@@ -181,7 +181,8 @@ struct TileTangent {
     }
     for (int j = 0; j < list.count; ++j) {
       const Lanes weight = held(load(list.weight[j])), odds = held(load(list.odds[j]));
-      const Lanes dx = held(load(list.dx[j])), dy = held(load(list.dy[j])), t = held(load(list.t[j])), s = held(load(list.s[j]));
+      const Lanes dx = held(load(list.dx[j])), dy = held(load(list.dy[j]));
+      const Lanes t = held(load(list.t[j])), s = held(load(list.s[j]));
       const Mask flexible = list.flexible[j];
       const float* channels = list.rows[j];
       Lanes own[C];

@@ -1,7 +1,8 @@
 """Measures rigs on two models with known poses: `python docs/measure_rigs.py hand|robot|recover STEPS COUNT`.
 
 `recover` takes two more numbers: the width of the photos, and how many show each training pose. The word
-"antialiasing" at the end trains with `Antialiasing(0.1)`.
+"antialiasing" at the end trains with `Antialiasing(0.1)`, and "antialiasing=0.3" with the filter of
+`splatax rig --low-pass antialiasing`.
 
 The models are in SPLATAX_DATA/rigs: `hand-right.glb` of @webxr-input-profiles/assets (MIT), and
 `RobotExpressive.glb` by Tomas Laulhe (CC0). Their surfaces get a procedural texture and are photographed
@@ -112,8 +113,9 @@ def report_psnr(name: str, body, last, poses, views, pose_of) -> None:
 def trained(body, dataset, poses, pose_of, steps: int, count: int, learned=Learned(), seconds=None):
     """Trains, and returns the last progress, with the time that the steps took."""
     recipe = recipe_for(steps, count)
-    if "antialiasing" in sys.argv:  # blurs by about the area of a pixel, and makes sharper edges
-        recipe = replace(recipe, drawing=replace(recipe.drawing, low_pass=sx.Antialiasing(0.1)))
+    if filters := [word for word in sys.argv if word.startswith("antialiasing")]:
+        variance = float(filters[0].partition("=")[2] or 0.1)  # 0.1 is about the blur of a pixel's area
+        recipe = replace(recipe, drawing=replace(recipe.drawing, low_pass=sx.Antialiasing(variance)))
     began, cpu = None, 0.0
     for progress in optimize_rig(dataset, recipe, covering(body, count // 2), poses, pose_of, learned):
         if began is None:

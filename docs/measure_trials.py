@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from measure_long import VARIANTS, loaded, rates, settling, varied
 from scipy.spatial.transform import Rotation, Slerp
-from trial_parts import BilateralGrid, JaxAdam, LearnedSky, OpacityNoise, Rays, SecondOrder
+from trial_parts import BilateralGrid, Huber, JaxAdam, LearnedSky, OpacityNoise, Rays, SecondOrder
 
 import splatax as sx
 from splatax.cameras import Camera
@@ -33,6 +33,7 @@ from splatax.training import loop
 from splatax.training.backgrounds import Solid
 from splatax.training.initialize import WithSky
 from splatax.training.loop import Progress
+from splatax.training.protocols import Loss
 from splatax.training.recipes import Recipe, ShSchedule, default, room_for
 from splatax.training.resolution import Resolution
 from splatax.training.steppers import Stepper
@@ -88,6 +89,11 @@ def with_noise(recipe: Recipe, deviation: float) -> Recipe:
     """Returns a recipe with noise in the opacities of each view."""
     noisy = OpacityNoise(recipe.density, deviation)
     return replace(recipe, density=noisy, optimizer=replace(recipe.optimizer, rule=JaxAdam()))
+
+
+def with_loss(recipe: Recipe, loss: Loss) -> Recipe:
+    """Returns a recipe with another loss of the photos."""
+    return replace(recipe, objective=replace(recipe.objective, loss=loss))
 
 
 def by_second_order(**settings: float) -> Trial:
@@ -216,6 +222,8 @@ TRIALS: dict[str, Trial] = {
     ),
     "opacity noise 0.2": of(lambda r: with_noise(r, 0.2)),
     "opacity noise 0.5": of(lambda r: with_noise(r, 0.5)),
+    "squares below 0.02": of(lambda r: with_loss(r, Huber(0.02))),
+    "squares below 0.06": of(lambda r: with_loss(r, Huber(0.06))),
     "second order": by_second_order(),
     "second order wide": by_second_order(radius=0.2, radius_final=0.01),
     "second order narrow": by_second_order(radius=0.05, radius_final=0.0025),

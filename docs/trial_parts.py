@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
+from splatax.losses import ssim
 from splatax.math import quaternions
 from splatax.outputs import over
 from splatax.pipeline import composite
@@ -71,6 +72,26 @@ class OpacityNoise:
     ) -> DensityUpdate:
         """Returns what the strategy does."""
         return self.strategy.refine(state, gaussians, count, step, extent, key)
+
+
+@dataclass(frozen=True)
+class Huber:
+    """Photometric loss in which errors below a limit count by their squares (Huber 1964), others as in L1.
+
+    Attributes:
+        limit: of the errors of photos in [0, 1], above 0.
+        ssim_weight: weight of D-SSIM.
+    """
+
+    limit: float
+    ssim_weight: float = 0.2
+
+    def __call__(self, image: Array, photo: Array, mask: None = None, kernel: Any = None) -> Array:
+        """Computes the loss of photos without masks, by functions of JAX."""
+        error = jnp.abs(image - photo)
+        small = error < self.limit
+        counted = jnp.where(small, error * error / (2 * self.limit), error - self.limit / 2)
+        return (1 - self.ssim_weight) * jnp.mean(counted) + self.ssim_weight * (1 - ssim(image, photo))
 
 
 CELLS = (4, 8, 8)  # of a bilateral grid: luminance, rows and columns

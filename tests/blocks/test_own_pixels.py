@@ -11,9 +11,10 @@ from captures import pinhole, write_capture
 from splatax.blocks import parts
 from splatax.blocks.boxes import Box
 from splatax.blocks.parts import among, part_of
-from splatax.blocks.plan import BlockPlan, Plan, digest_of, write_plan
+from splatax.blocks.plan import BlockPlan, Plan, write_plan
 from splatax.blocks.visibility import SIDE, own_pixels
 from splatax.dataset import Dataset, PointCloud, View
+from splatax.digests import file_digest
 from splatax.gaussians import joined
 from splatax.io.photo_store import PhotoStore, kept_on_disk
 from splatax.runs.results import examples
@@ -85,7 +86,7 @@ def planned(tmp_path):
     blocks = tuple(BlockPlan(box, ("0.png", "1.png"), ("3.png",), 10, 5) for box in boxes)
     path = tmp_path / "coarse.ply"
     axes = np.array([[1.0, 0, 0], [0, 0, 1]])
-    plan = Plan({"backend": "auto"}, fingerprint(dataset), path, digest_of(path), axes, blocks)
+    plan = Plan({"backend": "auto"}, fingerprint(dataset), path, file_digest(path), axes, blocks)
     write_plan(tmp_path, plan, [np.array([False, True]), np.array([True, False])])
     return dataset, tmp_path
 

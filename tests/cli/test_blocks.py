@@ -168,7 +168,10 @@ def test_a_capture_that_has_changed_is_refused(original, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("damage", "says"),
     [
-        (lambda city: (city / "blocks.json").unlink(), "first: splatax blocks plan CAPTURE --out"),
+        (
+            lambda city: (city / "blocks.json").unlink(),
+            "no blocks.json in it. Plan the blocks first",
+        ),
         (lambda city: (city / "blocks.json").write_text("{}"), "damaged (no 'blocks' in it)"),
         (lambda city: (city / "context.npy").unlink(), "context.npy: missing"),
         (lambda city: (city / "context.npy").write_bytes(b"x"), "context.npy: not that of the plan"),

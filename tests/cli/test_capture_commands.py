@@ -85,6 +85,7 @@ def test_inspect_judges_photos_that_have_no_poses_yet(photos, tmp_path, capsys):
     assert exit.value.code == 1
     printed = capsys.readouterr().out
     assert "without poses" in printed
+    assert re.search(r"^\d problems?, 1 of them serious$|^\d serious problems?$", printed, re.MULTILINE)
     assert f"splatax reconstruct {photos} --out SCENE" in printed
     assert (tmp_path / "page.html").is_file()
 

@@ -77,10 +77,24 @@ def test_options_decide_over_the_recipe_and_nothing_else_does(capture):
     assert recipe.drawing.background == Solid((1.0, 1.0, 1.0))
     surfaces = Settings(capture, geometry=True).to_recipe(dataset)
     assert surfaces == replace(plain, objective=replace(plain.objective, geometry=Surfaces()))
+    later = Settings(capture, geometry=True, geometry_after=0.4).to_recipe(dataset)
+    assert later == replace(plain, objective=replace(plain.objective, geometry=Surfaces(after=0.4)))
     sky = Settings(capture, sky=True).to_recipe(dataset)
     assert sky == replace(plain, initialization=WithSky(plain.initialization))
     classic = Settings(capture, recipe="classic").to_recipe(dataset)
     assert classic == PRESETS["classic"].build().on(plain.drawing.backend)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--geometry", "--geometry-after", "1"), "--geometry-after: from 0 to below 1, not 1.0"),
+        (("--geometry", "--geometry-after", "nan"), "--geometry-after: from 0 to below 1, not nan"),
+        (("--geometry-after", "0.4"), "--geometry-after is about --geometry: give that too"),
+    ],
+)
+def test_a_start_of_geometry_that_makes_no_sense_is_refused(options, message, capture, tmp_path, capsys):
+    assert message in refused(capsys, "train", capture, "--out", tmp_path / "run", *options)
 
 
 def test_the_preset_says_whether_photos_are_weighed_by_default(capture, monkeypatch):

@@ -12,6 +12,7 @@ from scenes import camera_at, random_gaussians
 from splatax import cli, web
 from splatax.demo.rigged import drawn_arm
 from splatax.io import formats
+from splatax.io.formats import glb_scene
 from splatax.io.rigs import load_animated, save_rigged
 from splatax.scene import RiggedScene, chosen
 from splatax.scene.binding import covering
@@ -238,6 +239,16 @@ def test_a_composition_with_a_clip_keeps_it_in_a_glb_file_which_makes_the_same_p
     page = page_of(tmp_path / "again.html")
     assert page["motion"]["clip"] == "Wave"
     assert [option["name"] for option in page["variants"][0]["options"]] == ["plain", "red"]
+
+
+def test_glb_files_are_read_once_also_if_several_parts_play_clips_of_one(moving, tmp_path, monkeypatch):
+    cli.main(["compose", str(moving), "--out", str(tmp_path / "moving.glb")])
+    moving.write_text(HAND + '[parts.other]\nfile = "arm.glb"\nclip = "Wave"\n')
+    read, opened = glb_scene.read, []
+    monkeypatch.setattr(glb_scene, "read", lambda path: opened.append(path.name) or read(path))
+    assert list(web.compose(moving).motions) == ["arm", "other"]
+    assert list(web.compose(tmp_path / "moving.glb").motions) == ["arm"]
+    assert opened == ["arm.glb", "moving.glb"]
 
 
 @pytest.mark.parametrize(

@@ -198,6 +198,7 @@ EXAMPLES = {  # of options of `train`; a new option needs one
     "refine": "poses",
     "adjust_cameras": "poses",
     "geometry": True,
+    "geometry_after": 0.5,
     "photo_weights": "equal",
     "backend": "xla",
     "seed": 3,
@@ -209,6 +210,7 @@ EXAMPLES = {  # of options of `train`; a new option needs one
     "port": 9000,
 }
 REFUSED = {"hosts": "run in one process"}
+TOGETHER = {"geometry_after": ["--geometry"]}  # options that make sense only beside others
 
 
 @pytest.mark.parametrize(
@@ -223,7 +225,7 @@ REFUSED = {"hosts": "run in one process"}
 def test_each_option_of_train_can_be_given(stages, photos, tmp_path, capsys, group, name):
     value = EXAMPLES[name]
     typed = [flag(name)] if value is True else [flag(name), str(value)]
-    command = ["create", str(photos), "--out", str(tmp_path / "out"), *typed]
+    command = ["create", str(photos), "--out", str(tmp_path / "out"), *typed, *TOGETHER.get(name, [])]
     if name in REFUSED:
         assert REFUSED[name] in refused(capsys, *command)
         return

@@ -14,10 +14,9 @@ from test_refusals import refused
 from captures import write_capture, write_transforms
 from emitters import as_users_compile
 from splatax import backends, cli
-from splatax.cli import hosts
+from splatax.cli import hosts, training
 from splatax.cli.preparing import loaded
 from splatax.cli.settings import Settings
-from splatax.cli.train import Train
 from splatax.io.datasets.points import write_points
 from splatax.runs.cameras import write_cameras
 from splatax.training.fingerprints import fingerprint
@@ -27,10 +26,10 @@ needs_cpu = pytest.mark.skipif(
 )
 PROGRAM = "import sys\nfrom splatax.cli import main\n{before}\nmain(sys.argv[1:])"
 IDLE = """
-from splatax.cli import train
+from splatax.cli import starting, training
 from splatax.runs import session
 from splatax.training import checkpoint
-train.prepared = train.planned = train.written = None
+starting.prepared = starting.planned = training.written = None
 session.evaluate = session.picture = checkpoint.take = checkpoint.write = None
 """  # a process that decides, evaluates, draws or saves anything fails
 KILLED = """
@@ -125,7 +124,7 @@ def test_processes_with_different_captures_end_before_the_first_step_and_name_th
 
 @needs_cpu
 @pytest.mark.slow
-def test_processes_hear_why_process_0_has_ended(capture, tmp_path):
+def test_the_other_processes_tell_why_process_0_has_exited(capture, tmp_path):
     out = tmp_path / "run"
     out.mkdir()
     (out / "scene.ply").touch()
@@ -135,13 +134,11 @@ def test_processes_hear_why_process_0_has_ended(capture, tmp_path):
     assert f"process 0 has ended the run: {out}: holds the results of a run" in printed[1][1]
 
 
-def test_what_process_0_decides_is_heard_with_the_files_that_it_names(tmp_path, monkeypatch):
+def test_the_decisions_of_process_0_are_received_with_the_files_that_they_name(tmp_path, monkeypatch):
     sent = deque()
 
-    def from_first(value=None):
-        return sent.popleft() if value is None else sent.append(value)
-
-    monkeypatch.setattr(hosts, "from_first", from_first)
+    monkeypatch.setattr(hosts, "broadcast", sent.append)
+    monkeypatch.setattr(hosts, "receive", sent.popleft)
     monkeypatch.setattr(hosts.jax, "process_count", lambda: 2)
     capture, points, cameras = (tmp_path / name for name in ("capture", "points.ply", "cameras.json"))
     write_transforms(capture)
@@ -152,14 +149,14 @@ def test_what_process_0_decides_is_heard_with_the_files_that_it_names(tmp_path, 
     write_cameras(cameras, [moved], {})
     settings = Settings(capture, seed=3, leave_out=f"{given.train[1].name}\n", points=points, cameras=cameras)
     decided = loaded(settings)
-    hosts.tell(settings)
+    hosts.send_settings(settings)
 
     points.unlink()
     cameras.unlink()
     elsewhere = capture.rename(tmp_path / "elsewhere")
-    heard, dataset = hosts.heard(Settings(elsewhere, seed=1))
+    received, dataset = hosts.receive_settings(Settings(elsewhere, seed=1))
     assert not sent
-    assert (heard.scene, heard.seed) == (elsewhere, 3)
+    assert (received.scene, received.seed) == (elsewhere, 3)
     assert fingerprint(dataset) == fingerprint(decided)
     assert fingerprint(dataset)["cameras"] != fingerprint(given)["cameras"]
     assert len(dataset.points) == len(FOUND)
@@ -174,11 +171,11 @@ def test_several_photos_a_step_see_as_many_photos_as_one_a_step_by_default(
 ):
     recipes = []
 
-    def steps(command, session, start):
+    def make_steps(session, start, live):
         recipes.append(session.recipe)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Train, "steps", steps)
+    monkeypatch.setattr(training, "make_steps", make_steps)
     with pytest.raises(SystemExit):
         cli.main(["train", str(capture), "--views", "8", "--out", str(tmp_path / "run")])
     assert [(recipe.steps, recipe.views) for recipe in recipes] == [(3_750, 8)]
@@ -189,5 +186,5 @@ def test_several_photos_a_step_see_as_many_photos_as_one_a_step_by_default(
 @pytest.mark.parametrize("limit", ["--budget", "--within"])
 def test_a_time_is_not_planned_for_several_photos_a_step(capsys, capture, limit):
     error = refused(capsys, "train", capture, "--views", "4", limit, "5min")
-    assert error.startswith(f"splatax: {limit}: ")
+    assert error.startswith(f"splatax: {limit}: steps are planned by the measured speed")
     assert "--steps" in error

@@ -49,11 +49,21 @@ def test_a_wall_becomes_a_mesh_and_a_file_is_not_replaced_unless_told(wall, tmp_
     assert np.abs(found.vertices[:, 2] - 5).max() < 0.05
     assert 0 < len(found.faces) <= 300
     assert f"{len(found.faces):,} faces" in said
+    assert "asked for" not in said
     before = out.read_bytes()
     assert "exists" in refused(capsys, *command)
     assert out.read_bytes() == before
     main([*command[:3], "--scene", str(capture), "--voxel", "0.3", "--overwrite"])
     assert out.read_bytes() != before
+
+
+def test_a_mesh_that_cannot_have_so_few_faces_says_so(wall, tmp_path, capsys, monkeypatch):
+    scene, capture = wall
+    monkeypatch.setattr("splatax.mesh.extraction.simplified", lambda found, faces: found)
+    out = tmp_path / "wall.ply"
+    main(["mesh", str(scene), str(out), "--scene", str(capture), "--faces", "4"])
+    assert len(trimesh.load(out).faces) > 4
+    assert "more than the 4 faces asked for" in capsys.readouterr().out
 
 
 def test_a_collision_mesh_is_small_and_has_a_volume(wall, tmp_path):

@@ -122,7 +122,7 @@ def test_photos_to_leave_out_can_be_named(tmp_path, capsys):
 
 def test_without_options_training_has_a_budget(tmp_path, monkeypatch, capsys):
     limited = []
-    monkeypatch.setattr(train.Train, "train", lambda self, settings, *_, **__: limited.append(settings))
+    monkeypatch.setattr(train, "train", lambda run, live: limited.append(run.settings))
     cli.main(["train", "capture"])
     assert limited[-1].budget == "6min"
     assert "training for 6min. Choose another time: --budget" in capsys.readouterr().out
@@ -134,13 +134,13 @@ def test_without_options_training_has_a_budget(tmp_path, monkeypatch, capsys):
 
 
 def test_a_limit_of_the_whole_command_leaves_time_for_the_results(tmp_path, capsys, monkeypatch):
-    limited = []
-    monkeypatch.setattr(train.Train, "train", lambda self, *given, **__: limited.append(given))
+    runs = []
+    monkeypatch.setattr(train, "train", lambda run, live: runs.append(run))
     monkeypatch.setattr("splatax.runs.planning.busyness", lambda: 1.0)
     cli.main(["train", "capture", "--within", "100s"])
-    _, _, deadline = limited[0]
+    (run,) = runs
     dataset = sx.load_dataset(write_capture(tmp_path / "capture"))
-    assert 60 < deadline.left(dataset) < 96
+    assert 60 < run.deadline.left(dataset) < 96
     both = refused(capsys, "train", "capture", "--within", "9s", "--budget", "9s")
     assert "--within: limits the whole command, --budget the training" in both
     assert "--within: plans" in refused(capsys, "train", "capture", "--within", "9s", "--steps", 4)

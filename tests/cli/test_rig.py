@@ -10,7 +10,7 @@ from test_refusals import refused
 
 import splatax as sx
 from splatax import cli
-from splatax.cli import rig
+from splatax.cli import rigging
 from splatax.demo.posed_capture import write_arm_capture
 from splatax.io.formats.marks import metres_mark
 from splatax.io.rigs import load_rigged
@@ -49,6 +49,22 @@ def test_a_run_holds_the_scene_its_poses_and_its_scores(run, arm):
     assert kept["photos"] == given["photos"]
 
 
+def test_a_rig_is_drawn_with_the_filter_that_it_was_trained_with(arm, tmp_path, monkeypatch):
+    recipes = []
+
+    def recorded(dataset, recipe, *arguments):
+        recipes.append(recipe)
+        return optimize_rig(dataset, recipe, *arguments)
+
+    monkeypatch.setattr(rigging, "optimize_rig", recorded)
+    poses = ["--skeleton", f"{arm}/body.glb", "--poses", f"{arm}/poses.json", "--out", str(tmp_path)]
+    sizes = ["--steps", "1", "--max-gaussians", "100"]
+    cli.main(["rig", str(arm), *poses, *sizes, "--low-pass", "antialiasing"])
+    assert [recipe.drawing.low_pass for recipe in recipes] == [sx.Antialiasing()]
+    assert load_rigged(tmp_path / "rigged.glb").gaussians.low_pass == sx.Antialiasing()
+    assert sx.load(tmp_path / "scene.ply").low_pass == sx.Antialiasing()
+
+
 class PowerCut(Exception):
     """Ends a run where it is."""
 
@@ -74,14 +90,14 @@ def test_a_run_that_was_stopped_again_and_again_ends_with_the_same_bytes(capsys,
 
     start(tmp_path / "whole")
     run = tmp_path / "run"
-    monkeypatch.setattr(rig, "optimize_rig", stopping_at(7))
+    monkeypatch.setattr(rigging, "optimize_rig", stopping_at(7))
     with pytest.raises(PowerCut):
         start(run)
-    monkeypatch.setattr(rig, "optimize_rig", stopping_at(18))
+    monkeypatch.setattr(rigging, "optimize_rig", stopping_at(18))
     with pytest.raises(PowerCut):
         cli.main(["rig", "--resume", str(run)])
     assert sorted(path.name for path in (run / "checkpoints").iterdir()) == ["00000012.npz", "00000016.npz"]
-    monkeypatch.setattr(rig, "optimize_rig", optimize_rig)
+    monkeypatch.setattr(rigging, "optimize_rig", optimize_rig)
     assert "run of splatax rig, not of splatax train" in refused(capsys, "train", "--resume", str(run))
     assert "--seed 3: the run was started with 0" in refused(
         capsys, "rig", "--resume", str(run), "--seed", "3"
@@ -98,7 +114,7 @@ def test_a_run_that_was_stopped_again_and_again_ends_with_the_same_bytes(capsys,
 def test_a_run_goes_on_only_with_the_body_and_the_poses_that_it_had(capsys, arm, tmp_path, monkeypatch):
     capture, run = shutil.copytree(arm, tmp_path / "arm"), tmp_path / "run"
     files = ["--skeleton", f"{capture}/body.glb", "--poses", f"{capture}/poses.json", "--out", str(run)]
-    monkeypatch.setattr(rig, "optimize_rig", stopping_at(2))
+    monkeypatch.setattr(rigging, "optimize_rig", stopping_at(2))
     with pytest.raises(PowerCut):
         cli.main(["rig", str(capture), *files, "--steps", "3", "--checkpoint-steps", "1"])
     poses = json.loads((capture / "poses.json").read_text())

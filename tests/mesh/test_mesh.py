@@ -16,6 +16,7 @@ from splatax.io import files as files_of_io
 from splatax.mesh.extraction import simplified
 from splatax.mesh.files import WRITERS, linear
 from splatax.mesh.fusion import Fusion, fuse
+from splatax.mesh.needed import needed
 from splatax.mesh.record import Mesh, components_of, largest_components
 from splatax.mesh.surface import surface_of
 from splatax.mesh.views import Picture, sampled
@@ -171,6 +172,19 @@ def test_a_simplified_mesh_has_the_faces_asked_for_and_keeps_its_shape(ball):
     assert np.median(np.abs(heights(few.vertices))) < 0.4 * VOXEL
     assert (few.colors[:, 0] > 250).all()
     assert simplified(ball, 10**6) is ball
+
+
+def test_a_sheet_full_of_holes_is_simplified_as_far_as_its_borders_allow():
+    at = np.arange(40)
+    inside = (at[:, None] % 4 > 0) | (at[None, :] % 4 > 0)
+    sheet = squares(*[(x, y, 0) for x in at for y in at if inside[x, y]])
+    joined = as_trimesh(sheet)
+    joined.merge_vertices()
+    whole = Mesh(joined.vertices, joined.faces, np.full(joined.vertices.shape, 9, np.uint8))
+    once = needed().simplify(whole.vertices, whole.faces.astype(np.int32), target_count=100)[1]
+    few = simplified(whole, 100)
+    assert len(few.faces) < 0.7 * len(once)
+    assert as_trimesh(few).extents == pytest.approx(joined.extents, abs=0.5)
 
 
 def test_the_collision_mesh_of_a_ball_is_a_solid_ball(views):

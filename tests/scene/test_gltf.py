@@ -15,6 +15,7 @@ import splatax as sx
 from scene.skeletons import arm, bent, blended
 from scenes import random_gaussians
 from splatax.demo.rigged import drawn_arm, moves_of
+from splatax.io.formats.glb_scene import Glb
 from splatax.io.rigs import load_animated, load_rigged, read_body, save_animated, save_rigged
 from splatax.io.rigs.following import check_following
 from splatax.io.rigs.nodes import _moving_nodes
@@ -372,7 +373,7 @@ def test_many_nodes_of_one_name_in_one_long_chain_are_read_in_linear_time():
     nodes = [{"name": "bone", "mesh": 0, "children": [i + 1]} for i in range(count)]
     nodes[-1]["children"] = []
     began = time.process_time()
-    found = _moving_nodes(Path("chain.glb"), {"nodes": nodes})
+    found = _moving_nodes(Glb(Path("chain.glb"), {"nodes": nodes}, b""))
     assert time.process_time() - began < 5  # each of the quadratic searches took longer than that
     assert found.parents == list(range(-1, count - 1))
     assert len(set(found.names)) == count
@@ -380,7 +381,7 @@ def test_many_nodes_of_one_name_in_one_long_chain_are_read_in_linear_time():
 
 def test_names_stay_unique_when_one_looks_like_a_numbered_one():
     nodes = [{"name": "a", "mesh": 0}, {"name": "a (2)", "mesh": 0}, {"name": "a", "mesh": 0}]
-    assert len(set(_moving_nodes(Path("a.glb"), {"nodes": nodes}).names)) == 3
+    assert len(set(_moving_nodes(Glb(Path("a.glb"), {"nodes": nodes}, b"")).names)) == 3
 
 
 def test_splats_without_a_skin_are_refused(tmp_path):

@@ -106,7 +106,7 @@ def exchanged(number: int) -> int:
     state = stepper.placed(first_state(start, made, 1.0, len(dataset.train)))
     views = next(stepper.feed(dataset.train, made, 0, Schedule(STEPS, STEPS, made.resolution), math.inf))
     openings = jnp.asarray(made.sh.openings(made.steps))
-    arguments = state, views, made.optimizer.rates, openings, made, stepper.dealt.mesh
+    arguments = state, views, made.optimizer.rates, openings, made, stepper.sharding.mesh
     text = step_on_views.lower(*arguments).compile().as_text()
     kinds = re.findall(
         r"= (.*?) (all-to-all|all-gather|all-reduce|reduce-scatter|collective-permute)\(", text

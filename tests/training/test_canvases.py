@@ -310,7 +310,7 @@ def test_a_step_on_several_canvases_learns_the_same_on_each_number_of_views():
         same = [view_of(v.name, camera_of((40, 32), at=0.1 * i), seed=i) for i, v in enumerate(dataset.train)]
         stepper = stepper_for(recipe, jax.devices()[:1])
         photos = PhotoCache(same, np.inf, canvases)
-        views = next(steps_of(same, recipe, 0, Resolution(), stepper.dealt, photos))
+        views = next(steps_of(same, recipe, 0, Resolution(), stepper.sharding, photos))
         state = stepper.placed(first_state(jax.tree.map(jnp.array, TRUTH), recipe, 1.0, len(same)))
         state, loss = stepper.step(state, views, recipe)
         state = stepper.gathered(state, len(TRUTH))

@@ -25,7 +25,7 @@ from emitters import as_users_compile
 from splatax import backends
 from splatax.runs.scaling import bytes_exchanged
 from splatax.training.density import NoDensityControl
-from splatax.training.devices import BLOCK, Dealt, devices_for
+from splatax.training.devices import BLOCK, Sharding, devices_for
 from splatax.training.feed import FIRST, READERS, batch
 from splatax.training.groups import grouped, steps_of
 from splatax.training.loop import first_state
@@ -254,7 +254,7 @@ def test_photos_of_a_step_are_decoded_at_the_same_time(monkeypatch):
         return replace(view, pixels=pixels)
 
     views, recipe = [met(view) for view in capture(views=5).train], with_views(RECIPE, 4)
-    steps = steps_of(views, recipe, 0, recipe.resolution, Dealt(devices_for(4, jax.devices()[:1])))
+    steps = steps_of(views, recipe, 0, recipe.resolution, Sharding(devices_for(4, jax.devices()[:1])))
     assert next(steps).photo.shape[0] == 4
     steps.close()
 
@@ -264,8 +264,8 @@ def test_steps_that_follow_do_not_depend_on_threads_or_on_where_a_run_starts(mon
 
     def photos(threads, start):
         monkeypatch.setattr("splatax.training.groups.cores", lambda: threads)
-        dealt = Dealt(devices_for(3, jax.devices()[:1]))
-        steps = steps_of(views, recipe, start, recipe.resolution, dealt)
+        sharding = Sharding(devices_for(3, jax.devices()[:1]))
+        steps = steps_of(views, recipe, start, recipe.resolution, sharding)
         found = [np.asarray(seen.photo) for seen in islice(steps, 6 - start)]
         steps.close()
         return found

@@ -13,7 +13,7 @@ from splatax import backends
 from splatax.outputs import OUTPUTS, Output
 from splatax.surfaces import positions_of
 from splatax.training.feed import MOST_LANDMARKS, Batch, landmarks_of
-from splatax.training.geometry import FACING, LAYERS, Surfaces, error_at, inconsistency, saturated
+from splatax.training.geometry import FACING, LAYERS, Layers, Surfaces, error_at, inconsistency, saturated
 from splatax.training.loop import first_state
 from splatax.training.objectives import TrainingView
 from splatax.training.priors import Flatness, Priors, Sparsity
@@ -179,6 +179,20 @@ def test_training_with_surfaces_moves_the_drawn_depth_to_the_landmarks():
         depth = sx.render(trained, views[0].camera, outputs=("surface_depth",)).surface_depth
         errors.append(error_at(jnp.asarray(points), depth, views[0].camera))
     assert errors[1] < 0.9 * errors[0]
+
+
+def test_penalties_that_begin_late_grow_to_their_weights_within_a_tenth_of_the_run():
+    camera = camera_at((0.0, 0.0, -4.0), size=(8, 6))
+    layers = Layers(jnp.full((6, 8), 4.0), jnp.full((6, 8), 0.02), jnp.zeros((6, 8)))
+    landmarks = jnp.array([[0.0, 0.0, 1.0]])
+
+    def penalty(surfaces, progress):
+        return surfaces({"layers": layers}, TrainingView(camera, landmarks, jnp.float32(progress)))
+
+    whole = penalty(Surfaces(), 0.0)
+    assert whole > 0.1 * 0.02 / 1.4 * 0.99
+    for progress, share in ((0.0, 0), (0.4, 0), (0.45, 0.5), (0.5, 1), (1.0, 1)):
+        assert_allclose(penalty(Surfaces(after=0.4), progress), share * whole, rtol=1e-5)
 
 
 def test_landmarks_of_all_views_have_one_shape():

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from splatax.errors import DatasetError
-from splatax.training.devices import Dealt, devices_for
+from splatax.training.devices import Sharding, devices_for
 from splatax.training.feed import batches
 from splatax.training.groups import steps_of
 from splatax.training.photo_cache import PhotoCache
@@ -127,7 +127,7 @@ class Changing:
 def test_views_of_a_step_that_were_read_ahead_at_another_size_are_read_again():
     views, schedule = capture().train, Changing(2)
     recipe = with_views(Recipe(), 2)
-    feed = steps_of(views, recipe, 0, schedule, Dealt(devices_for(2, jax.devices()[:1])))
+    feed = steps_of(views, recipe, 0, schedule, Sharding(devices_for(2, jax.devices()[:1])))
     assert next(feed).divisor == 2
     while 2 not in schedule.asked:  # the next step is read ahead
         time.sleep(0.001)

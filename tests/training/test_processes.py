@@ -32,43 +32,48 @@ def printed_by_two(body):
     return [[line for line in output.splitlines() if not line.startswith("[Gloo]")] for output in outputs]
 
 
-def test_processes_wait_for_what_the_first_and_all_of_them_give():
+def test_processes_wait_for_what_process_0_broadcasts_and_for_what_all_gather():
     body = """
 if index == 0:
     time.sleep(3)  # longer than one wait
-value = processes.from_first(bytes(range(256)) * 20_000 if index == 0 else None)
-print(value == bytes(range(256)) * 20_000)
-print(processes.from_all(str(index).encode()))
-print(processes.from_first(b"" if index == 0 else None))
+    processes.broadcast(bytes(range(256)) * 20_000)
+else:
+    print(processes.receive() == bytes(range(256)) * 20_000)
+print(processes.all_gather(str(index).encode()))
+if index == 0:
+    processes.broadcast(b"")
+else:
+    print(processes.receive())
 """
-    assert printed_by_two(body) == [["True", "[b'0', b'1']", "b''"]] * 2
+    gathered = "[b'0', b'1']"
+    assert printed_by_two(body) == [[gathered], ["True", gathered, "b''"]]
 
 
-def test_a_process_that_ends_early_is_not_waited_for():
+def test_a_process_that_exits_early_is_not_waited_for():
     body = """
 try:
     if index == 0:
         raise ValueError("no such capture")
-    processes.from_first()
+    processes.receive()
 except ValueError as error:
     if index == 0:
-        processes.tell_the_end(error)
+        processes.announce_exit(error)
     print(type(error).__name__, error)
 """
-    ended = "InputError process 0 has ended the run: no such capture"
-    assert printed_by_two(body) == [["ValueError no such capture"], [ended]]
+    exited = "InputError process 0 has ended the run: no such capture"
+    assert printed_by_two(body) == [["ValueError no such capture"], [exited]]
 
 
 def test_a_difference_between_processes_is_named_with_both_values(monkeypatch):
     other = b'{"points": "30", "recipe": "b"}'
-    monkeypatch.setattr(processes, "from_all", lambda own: [own, own, other])
+    monkeypatch.setattr(processes, "all_gather", lambda own: [own, own, other])
     with pytest.raises(
         InputError, match=r"differ in: points \(points: 29 in process 0 and 30 in process 2\)"
     ):
-        processes.require_alike({"points": "29", "recipe": "b"})
+        processes.require_same({"points": "29", "recipe": "b"})
 
 
-def test_a_process_alone_hears_itself():
-    assert processes.from_first(b"settings") == b"settings"
-    assert processes.from_all(b"facts") == [b"facts"]
-    processes.require_alike({"points": "30"})
+def test_a_single_process_needs_no_store():
+    processes.broadcast(b"settings")
+    assert processes.all_gather(b"facts") == [b"facts"]
+    processes.require_same({"points": "30"})

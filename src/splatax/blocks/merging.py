@@ -8,7 +8,8 @@ import numpy as np
 
 from splatax.blocks.boxes import block_of, places_of
 from splatax.blocks.parts import some
-from splatax.blocks.plan import PLAN, Plan, digest_of, folder_of, read_plan
+from splatax.blocks.plan import PLAN, Plan, folder_of, read_plan
+from splatax.digests import file_digest
 from splatax.errors import InputError
 from splatax.gaussians import Gaussians, joined
 from splatax.io import formats
@@ -48,7 +49,7 @@ def is_of_plan(city: Path, block: int) -> bool:
     record = read_record(path, AGAIN)
     with understood(path, AGAIN):
         start = record["recipe"]["initialization"]
-        return (start.get("plan"), start.get("index")) == (digest_of(city / PLAN), block)
+        return (start.get("plan"), start.get("index")) == (file_digest(city / PLAN), block)
 
 
 def merged(city: Path) -> tuple[Gaussians, list[Kept]]:

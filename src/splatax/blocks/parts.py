@@ -1,11 +1,9 @@
 """The parts of a coarse scene and of a capture that belong to one block."""
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +18,7 @@ from splatax.blocks.visibility import SIDE, own_pixels
 from splatax.cameras import Camera
 from splatax.cameras.canvases import Size, canvases_for
 from splatax.dataset import Block, Dataset, Edited, Pixels, View
+from splatax.digests import contents, digest
 from splatax.errors import InputError
 from splatax.evaluation import MOST_SIZES
 from splatax.gaussians import Gaussians
@@ -94,22 +93,13 @@ def among(
         backend: backend that draws the scene.
     """
     canvases, found = canvases_for([view.camera for view in views], MOST_SIZES), []
-    scene = digest(coarse, backends.resolve(backend).name)
+    scene = digest(backends.resolve(backend).name.encode(), *contents(coarse))
     for view, canvas in zip(views, canvases, strict=True):
         bits = np.packbits(own_pixels(coarse, outside, view.camera, backend))
         change = Surrounded(bits, coarse, view.camera, canvas, backend)
-        identity = digest((bits, view.camera), f"{scene} {canvas}")
+        identity = digest(f"{scene} {canvas}".encode(), *contents((bits, view.camera)))
         found.append(replace(view, pixels=Edited(view.pixels, change, identity)))
     return tuple(found)
-
-
-def digest(arrays: Any, words: str) -> str:
-    """Returns a digest of a pytree of arrays, of its structure, and of words."""
-    leaves, structure = jax.tree.flatten(arrays)
-    found = hashlib.sha256(f"{structure} {words}".encode())
-    for leaf in leaves:
-        found.update(np.asarray(leaf).tobytes())
-    return found.hexdigest()[:32]
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ CITY/coarse/          the run of the coarse scene, unless one was given
 CITY/block-000/       the run of a block
 """
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from splatax.blocks.boxes import Box
+from splatax.digests import file_digest
 from splatax.errors import FormatError, InputError
 from splatax.gaussians import Gaussians
 from splatax.io import formats
@@ -101,7 +101,7 @@ def write_plan(city: Path, plan: Plan, contexts: Sequence[Bool[np.ndarray, " n"]
         "options": plan.options,
         "coarse": str(plan.coarse.relative_to(city) if inside else plan.coarse.absolute()),
         "coarse_digest": plan.coarse_digest,
-        "context_digest": digest_of(city / CONTEXT),
+        "context_digest": file_digest(city / CONTEXT),
         "ground_axes": plan.axes.tolist(),
         "blocks": blocks,
     }
@@ -153,7 +153,7 @@ def read_coarse(plan: Plan) -> Gaussians:
     """
     if not plan.coarse.is_file():
         raise InputError(f"{plan.coarse}: the coarse scene of the plan is missing. {AGAIN}")
-    if digest_of(plan.coarse) != plan.coarse_digest:
+    if file_digest(plan.coarse) != plan.coarse_digest:
         raise InputError(
             f"{plan.coarse}: the coarse scene has changed since the blocks were planned. {AGAIN}"
         )
@@ -169,17 +169,11 @@ def read_context(city: Path, block: int, count: int) -> Bool[np.ndarray, " n"]:
     path = city / CONTEXT
     if not path.is_file():
         raise InputError(f"{path}: missing. {AGAIN}")
-    if digest_of(path) != read_record(city / PLAN, AGAIN).get("context_digest"):
+    if file_digest(path) != read_record(city / PLAN, AGAIN).get("context_digest"):
         raise FormatError(f"{path}: not that of the plan. {AGAIN}")
     with understood(path, AGAIN):
         bits = np.load(path, mmap_mode="r")[block]
         return np.unpackbits(bits, count=count).astype(bool)
-
-
-def digest_of(path: Path) -> str:
-    """Returns a digest of the contents of a file."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()[:16]
 
 
 def folder_of(city: Path, block: int) -> Path:

@@ -10,10 +10,11 @@ import numpy as np
 from jaxtyping import Bool
 
 from splatax.blocks.boxes import Box, block_of, cut, ground_axes, places_of
-from splatax.blocks.plan import BlockPlan, Plan, digest_of
+from splatax.blocks.plan import BlockPlan, Plan
 from splatax.blocks.visibility import Outlook, outlooks
 from splatax.cameras import rig
 from splatax.dataset import Dataset, PointCloud
+from splatax.digests import file_digest
 from splatax.errors import InputError
 from splatax.gaussians import Gaussians
 from splatax.training.fingerprints import fingerprint
@@ -86,7 +87,7 @@ def made_plan(
         blocks.append(block_plan(dataset, box, outlook, work, float(start.mean())))
         contexts.append(outlook.seen & ~start)
     capture = fingerprint(dataset)
-    return Plan(options, capture, path, digest_of(path), axes, tuple(blocks)), contexts
+    return Plan(options, capture, path, file_digest(path), axes, tuple(blocks)), contexts
 
 
 def block_plan(dataset: Dataset, box: Box, outlook: Outlook, work: Work, fraction: float) -> BlockPlan:

@@ -65,9 +65,9 @@ def parsed(given: Sequence[str]) -> Any:
             in_paragraphs(COMMANDS[name].load())
         return understand(choices(named, named))
     commands = choices(named, named)
-    unheard = io.StringIO()
+    unprinted = io.StringIO()
     try:
-        with redirect_stdout(unheard), redirect_stderr(unheard):
+        with redirect_stdout(unprinted), redirect_stderr(unprinted):
             return understand(commands)
     except SystemExit:
         return understand(choices(named, COMMANDS))

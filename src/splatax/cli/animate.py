@@ -24,7 +24,7 @@ from splatax.cli.options import (
 )
 from splatax.cli.output import say
 from splatax.cli.page import is_page, tell_losses
-from splatax.cli.rig import RIGGED
+from splatax.cli.rigging import RIGGED
 from splatax.errors import InputError
 from splatax.io import video
 from splatax.io.rigs import load_rigged, save_rigged

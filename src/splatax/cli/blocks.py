@@ -17,10 +17,10 @@ from splatax.cli.failures import advice
 from splatax.cli.options import Downscale, OverwriteFlag, flag, given, read_model, shown_as
 from splatax.cli.output import say, show
 from splatax.cli.page import tell_losses
+from splatax.cli.planning import with_default_steps
 from splatax.cli.preparing import loaded, prepared
 from splatax.cli.settings import NAMES, Settings
 from splatax.cli.stages import Stages
-from splatax.cli.train import with_steps
 from splatax.cli.train_options import Count, Method, Photos
 from splatax.dataset import Dataset
 from splatax.errors import InputError
@@ -85,7 +85,7 @@ class PlanBlocks:
                 settings, background=settings.background or dataset.background, adjust_cameras="none"
             )
             if self.steps is None:
-                settings = with_steps(settings, dataset)
+                settings = with_default_steps(settings, dataset)
             work = Work(settings.most(dataset), settings.steps)
             blocks = self.blocks or -(-work.gaussians // (self.gaussians_per_block or 1))
             settings = replace(settings, max_gaussians=work.gaussians)
@@ -190,7 +190,6 @@ class TrainBlock:
     """Train the block again from its first step, even if its run is finished or was interrupted."""
 
     def run(self) -> None:
-        require_plan(self.city)
         plan = read_plan(self.city)
         check_number(plan, self.city, self.block)
         out = folder_of(self.city, self.block)
@@ -236,7 +235,6 @@ class MergeBlocks:
             raise InputError(
                 f"{self.out}: exists. Choose another name, or replace it.", options=("overwrite",)
             )
-        require_plan(self.city)
         scene, kept = merged(self.city)
         self.out.parent.mkdir(parents=True, exist_ok=True)
         for part in kept:
@@ -269,15 +267,6 @@ class Blocks:
             self.action.run()
         except InputError as error:
             raise InputError(advice(error, self.action)) from error
-
-
-def require_plan(city: Path) -> None:
-    """Raises InputError, with the command that makes a plan, if a folder has none."""
-    if not (city / PLAN).is_file():
-        raise InputError(
-            f"{city}: no {PLAN} in it. Plan the blocks first: splatax blocks plan CAPTURE --out {city} "
-            "--blocks N."
-        )
 
 
 def table_of(plan: Plan, photos: int) -> Table:

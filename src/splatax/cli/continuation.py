@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Any
 
 from splatax.cli.settings import NAMES, Settings, as_started
-from splatax.cli.train import MAY_CHANGE, Train
-from splatax.cli.train_options import Limits
+from splatax.cli.starting import NewRun, ResumedRun
+from splatax.cli.train import MAY_CHANGE
+from splatax.cli.training import train
 from splatax.runs.checkpoints import files
-from splatax.runs.history import History
 from splatax.runs.records import understood
 from splatax.runs.resume import OTHER, find
 
@@ -19,14 +19,13 @@ def carry_on(settings: Settings, out: Path) -> None:
     Raises:
         InputError: if the run that was stopped has other settings.
     """
-    train = Train(limits=Limits(steps=settings.steps))
     if not files(out) or settings.overwrite:
-        train.train(settings, History())
+        train(NewRun(settings, steps_given=True))
         return
     earlier = find(out)
     with understood(earlier.path, OTHER):
         stored = as_before(settings, earlier.options)
-    train.train(stored, earlier.history, earlier=earlier)
+    train(ResumedRun(stored, earlier.history, earlier=earlier))
 
 
 def as_before(settings: Settings, stored: Mapping[str, Any]) -> Settings:

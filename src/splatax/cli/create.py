@@ -16,7 +16,7 @@ from splatax.cli.page import Page
 from splatax.cli.preparing import POINTS, found_points
 from splatax.cli.reconstruct import FindingCameras, Reconstruct
 from splatax.cli.settings import NAMES, Settings
-from splatax.cli.train import Train
+from splatax.cli.train import Train, limited
 from splatax.cli.train_options import Devices, Limits, Live, Method, Photos, Rerun, Saving
 from splatax.dataset import photos_in
 from splatax.errors import InputError
@@ -221,7 +221,7 @@ class Create:
                 "reconstruct, train it with splatax train --hosts, and write the page with splatax page."
             )
         self.cameras.check()
-        Train(limits=self.limits, devices=self.devices, method=self.method).limited(self.settings(), 0.0)
+        limited(self.settings(), self.limits, 0.0)
         self.settings().check()
         if self.out.exists() and not self.out.is_dir():
             raise InputError(f"{self.out}: a file, not a folder. Choose another --out.")

@@ -53,7 +53,8 @@ class Inspect:
         for label, value in facts_of(found):
             table.add_row(label, cell(value))
         show(table)
-        show(cell(f"\n{verdict(problems)}", "bold"))
+        say("")
+        show(cell(verdict(problems), "bold"))
         for problem in problems:
             color = COLORS[problem.severity]
             show(Text.assemble((problem.severity, color), "  ", cell(problem.what)))

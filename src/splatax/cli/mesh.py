@@ -97,6 +97,8 @@ class Mesh:
         mesh.save(self.out, found)
         size = self.out.stat().st_size / 1e6
         say(f"{self.out}: {len(found.vertices):,} vertices, {len(found.faces):,} faces, {size:.2f} MB")
+        if self.faces and len(found.faces) > self.faces:
+            say(f"more than the {self.faces:,} faces asked for: fewer would move the borders of the surface")
 
     def _chosen(self, views: tuple[mesh.DepthView, ...]) -> float:
         """Returns the width of a voxel that suits the views. Prints what it follows from."""

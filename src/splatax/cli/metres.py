@@ -54,6 +54,16 @@ class Metres:
     """Write a copy with the scale. By default the scene file itself is rewritten; it must be a .ply file."""
 
     def run(self) -> None:
+        self.check()
+        model = read_model(self.model, None)
+        out = self.output(model)
+        scale, found = self._by_gps(model) if self.gps else self._by_length(model)
+        save_with_scale(out, model, scale)
+        say(f"{out}: {found}, so one unit is {scale:.6g} m")
+        tell_losses(out)
+
+    def check(self) -> None:
+        """Raises InputError unless the options name exactly one way to find the scale."""
         given = (self.a, self.b, self.length)
         if self.gps and any(value is not None for value in given):
             raise InputError("--gps: stands instead of A, B and METRES. Give one of them.")
@@ -61,7 +71,13 @@ class Metres:
             raise InputError("two places A and B and their distance in METRES are needed, or --gps.")
         if self.gps_error is not None and not (self.gps and 0 < self.gps_error < float("inf")):
             raise InputError(f"--gps-error {self.gps_error}: a number of metres above 0, with --gps.")
-        model = read_model(self.model, None)
+
+    def output(self, model: Model) -> Path:
+        """Returns the file to write.
+
+        Raises:
+            InputError: if it cannot keep the scale, or would replace another file than the scene.
+        """
         out = self.out or model.path
         if formats.format_of(out) is not formats.FORMATS[".ply"]:
             raise InputError(
@@ -70,12 +86,7 @@ class Metres:
             )
         if self.out and self.out.exists():
             raise InputError(f"{self.out}: exists. Choose another name.", options=("out",))
-        scale, found = self._by_gps(model) if self.gps else self._by_length(model)
-        kept = tuple(line for line in formats.comments(model.path) if not line.startswith((METRES, "SH deg")))
-        out.parent.mkdir(parents=True, exist_ok=True)
-        sx.save(out, model.gaussians, comments=(*kept, metres_mark(scale)))
-        say(f"{out}: {found}, so one unit is {scale:.6g} m")
-        tell_losses(out)
+        return out
 
     def _by_length(self, model: Model) -> tuple[float, str]:
         """Returns the metres of a unit by a known distance, and how they were found."""
@@ -102,6 +113,13 @@ class Metres:
         found = scale_by_gps(cameras, fixes, self.gps_error)
         report(found, len(cameras))
         return found.metres_per_unit, f"{counted(found.used)} agree with GPS"
+
+
+def save_with_scale(out: Path, model: Model, metres_per_unit: float) -> None:
+    """Writes a scene with the comments of its file, and its scale instead of an earlier one."""
+    kept = tuple(line for line in formats.comments(model.path) if not line.startswith((METRES, "SH deg")))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    sx.save(out, model.gaussians, comments=(*kept, metres_mark(metres_per_unit)))
 
 
 def report(found: GpsScale, photos: int) -> None:

@@ -39,7 +39,8 @@ class Plan:
         if not 0 < self.seen <= 1:
             raise InputError(f"--seen: a fraction above 0 and at most 1, not {self.seen}.")
         times = ("step, ms", "rows", "draw", "travel", "wait")
-        table = Table("devices", *times, "photos/s", "exchanged, GB", "memory, GB")
+        # Without lines it fits a terminal of 80 columns.
+        table = Table("devices", *times, "photos/s", "exchanged, GB", "memory, GB", box=None, pad_edge=False)
         for devices in sorted({1, min(machine.host, count), count}):
             table.add_row(*row(devices, cost(machine, devices, gaussians, pixels, self.seen), machine))
         say(

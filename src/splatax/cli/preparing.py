@@ -1,4 +1,4 @@
-"""The capture and the plan of a run, from its options, its photos and the speed of the machine."""
+"""The capture of a run, from its options and its photos."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -6,24 +6,20 @@ from pathlib import Path
 
 import splatax as sx
 from splatax.blocks.parts import part_of
-from splatax.cli.options import flag, load_scene
+from splatax.cli.options import load_scene
 from splatax.cli.output import say
 from splatax.cli.settings import Settings
 from splatax.cli.stages import Stages
 from splatax.dataset import View, photos_by, photos_in, without
-from splatax.errors import InputError
 from splatax.inspection.decisions import Findings, look_first
 from splatax.io.datasets.photos import counted, listed
 from splatax.io.datasets.points import read_points, write_points
 from splatax.reconstruction import bundle, triangulation
 from splatax.reconstruction.calibration import corrected
-from splatax.runs.budget import Expected, duration, measured, plan
 from splatax.runs.cameras import with_cameras, write_cameras
-from splatax.runs.planning import Deadline, Room, gaussians_here, smaller_photos
 from splatax.splits import Listed, listed_in
 from splatax.training.camera_refinement import check_lenses
 from splatax.training.initialize import Discs, InFrusta, focus_distance
-from splatax.training.recipes import MOST, PRESETS, detail_of, most_for, room_for
 
 MOST_LEFT_OUT = 0.5  # of the training photos that are left out
 POINTS = "points.ply"  # in the folder of a run that had to find its points
@@ -84,35 +80,16 @@ def prepared(settings: Settings, dataset: sx.Dataset, out: Path) -> tuple[Settin
     if settings.adjust_cameras != "none":
         settings, dataset = with_adjusted_cameras(settings, dataset, out)
     if settings.init == "sfm" and not len(dataset.points):
-        path = found_points(settings.scene, dataset.train, out, settings.seed)
-        if path is None:
-            settings = replace(settings, init="random")
-        else:
-            settings = replace(settings, points=path)
-            dataset = replace(dataset, points=read_points(path))
+        settings, dataset = with_found_points(settings, dataset, out)
     if settings.init == "random":
         say(random_start(dataset, settings))
     if "auto" not in (settings.leave_out, settings.appearance):
         return settings, dataset
     findings = look_first(dataset)
     if settings.leave_out == "auto":
-        names, lines = spared_by(findings)
-        if len(names) > MOST_LEFT_OUT * photos_in(dataset.train):
-            names, lines = [], []
-            say(
-                "most photos are blurred or repeat another, so all are used. Leave some out: --leave-out LIST"
-            )
-        for line in lines:
-            say(f"{line}. Use all photos: --leave-out none")
-        settings = replace(settings, leave_out="".join(f"{name}\n" for name in names) or "none")
-        dataset = without(dataset, names)
+        settings, dataset = without_spared(settings, dataset, findings)
     if settings.appearance == "auto":
-        if findings.uneven:
-            say(
-                f"exposure differs between photos by {findings.exposure:.2f} stops (standard deviation), so "
-                "it is compensated for. Turn that off: --appearance none"
-            )
-        settings = replace(settings, appearance="exposure" if findings.uneven else "none")
+        settings = with_exposure(settings, findings)
     return settings, dataset
 
 
@@ -143,73 +120,37 @@ def with_adjusted_cameras(settings: Settings, dataset: sx.Dataset, out: Path) ->
     return replace(settings, cameras=out.absolute() / CAMERAS), adjusted
 
 
-def planned(
-    settings: Settings, dataset: sx.Dataset, room: Room, deadline: Deadline | None = None
-) -> tuple[Settings, sx.Dataset, Expected | None]:
-    """Returns settings and capture so that they fit into the budget and the memory, and the plan's costs.
+def with_found_points(settings: Settings, dataset: sx.Dataset, out: Path) -> tuple[Settings, sx.Dataset]:
+    """Returns settings and capture with points that were found in the photos, or that start at random."""
+    path = found_points(settings.scene, dataset.train, out, settings.seed)
+    if path is None:
+        return replace(settings, init="random"), dataset
+    return replace(settings, points=path), replace(dataset, points=read_points(path))
 
-    The numbers of steps and Gaussians change, and for short budgets the size of photos.
 
-    Args:
-        settings: of the run.
-        dataset: the capture.
-        room: the memory of the run.
-        deadline: of the whole command; the budget becomes what is left until then.
+def without_spared(
+    settings: Settings, dataset: sx.Dataset, findings: Findings
+) -> tuple[Settings, sx.Dataset]:
+    """Returns settings and capture without blurred and repeated photos, unless these are most photos."""
+    names, lines = spared_by(findings)
+    if len(names) > MOST_LEFT_OUT * photos_in(dataset.train):
+        names, lines = [], []
+        say("most photos are blurred or repeat another, so all are used. Leave some out: --leave-out LIST")
+    for line in lines:
+        say(f"{line}. Use all photos: --leave-out none")
+    leave_out = "".join(f"{name}\n" for name in names) or "none"
+    return replace(settings, leave_out=leave_out), without(dataset, names)
 
-    Raises:
-        InputError: if more Gaussians are asked for than there is room for.
-    """
-    asked = None if settings.max_gaussians == "auto" else settings.max_gaussians
-    if asked and asked > room.gaussians:
-        raise InputError(
-            f"{flag('max_gaussians')} {asked}: {flag('memory')} {settings.memory} has room for "
-            f"{room.gaussians:,}. Give more memory, or ask for fewer."
-        )
-    most = settings.most(dataset)
-    fit = int(min(most, room.gaussians))
-    if asked is None and fit > MOST:
-        fit = int(max(min(fit, gaussians_here(dataset)), MOST))
-    if asked is None and (limited := limited_detail(settings, dataset, fit)):
-        say(limited)
-    if settings.seconds is None:
-        return (settings if fit == most else replace(settings, max_gaussians=fit)), dataset, None
-    say("measuring the speed of this machine ...")
-    camera, recipe = dataset.train[0].camera, settings.to_recipe(dataset)
-    costs = measured((camera.width, camera.height), recipe, camera.lens)
-    if deadline:
-        settings = replace(settings, budget=f"{deadline.left(dataset):.0f}s")
-    assert settings.seconds
-    first = recipe.initialization.number(dataset)
-    chosen = plan(costs, settings.seconds, first, fit, asked)
-    milliseconds = 1e3 * costs.fine.step(chosen.max_gaussians)
+
+def with_exposure(settings: Settings, findings: Findings) -> Settings:
+    """Returns settings that compensate for uneven exposure if there is any."""
+    if not findings.uneven:
+        return replace(settings, appearance="none")
     say(
-        f"plan: {chosen.steps:,} steps, {chosen.max_gaussians:,} Gaussians, {duration(settings.seconds)} "
-        f"(final steps about {milliseconds:.0f} ms each)"
+        f"exposure differs between photos by {findings.exposure:.2f} stops (standard deviation), so it is "
+        "compensated for. Turn that off: --appearance none"
     )
-    smaller = None
-    if settings.downscale == "auto":
-        smaller = smaller_photos(lambda divisor: loaded(settings, divisor), dataset, chosen.steps)
-    if smaller is None:
-        most = chosen.max_gaussians
-        return (
-            replace(settings, steps=chosen.steps, max_gaussians=most),
-            dataset,
-            Expected(costs, first, most),
-        )
-    downscale, dataset = smaller
-    say(f"too few steps for photos of this size: --downscale {downscale}")
-    return planned(replace(settings, downscale=downscale), dataset, room, deadline)
-
-
-def limited_detail(settings: Settings, dataset: sx.Dataset, fit: int) -> str:
-    """Returns a line for captures with detail for more Gaussians than the run may have; empty for others."""
-    detail = detail_of(dataset)
-    if PRESETS[settings.recipe].max_gaussians is not room_for or fit >= detail:
-        return ""
-    way_out = "Choose another number: --max-gaussians"
-    if fit < most_for(dataset):
-        way_out = "More need more memory" + (f" than --memory {settings.memory}" if settings.memory else "")
-    return f"at most {fit:,} Gaussians, though the photos may have detail for {detail:,}. {way_out}"
+    return replace(settings, appearance="exposure")
 
 
 def spared_by(findings: Findings) -> tuple[list[str], list[str]]:

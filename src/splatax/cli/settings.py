@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import splatax as sx
-from splatax.blocks.plan import PLAN, digest_of
+from splatax.blocks.plan import PLAN
 from splatax.cli.options import (
     AdjustmentName,
     AppearanceName,
@@ -23,6 +23,7 @@ from splatax.cli.options import (
     resolve_backend,
 )
 from splatax.dataset import photos_in
+from splatax.digests import file_digest
 from splatax.errors import InputError
 from splatax.low_pass import LOW_PASSES
 from splatax.runs.budget import parse_bytes, parse_seconds
@@ -81,6 +82,7 @@ class Settings:
     city: Path | None = None  # folder of a plan, for the run of one of its blocks
     block: int = 0
     geometry: bool = False
+    geometry_after: float = 0.0
     photo_weights: PhotoWeightsName = "auto"
     backend: BackendName = "auto"
     seed: int = 0
@@ -104,6 +106,10 @@ class Settings:
             value = getattr(self, name)
             if value != "auto" and not value >= least:
                 raise InputError(f"{flag(name)}: at least {least}, not {value}.")
+        if not 0 <= self.geometry_after < 1:
+            raise InputError(f"{flag('geometry_after')}: from 0 to below 1, not {self.geometry_after}.")
+        if self.geometry_after and not self.geometry:
+            raise InputError(f"{flag('geometry_after')} is about {flag('geometry')}: give that too.")
         for name, read in (("budget", parse_seconds), ("memory", parse_bytes)):
             if (text := getattr(self, name)) is not None:
                 parsed(name, text, read)
@@ -144,7 +150,9 @@ class Settings:
         preset = PRESETS[self.recipe]
         recipe = preset.build(steps=self.steps, max_gaussians=self.most(dataset), views=self.views)
         if self.geometry:
-            recipe = replace(recipe, objective=replace(recipe.objective, geometry=Surfaces()))
+            recipe = replace(
+                recipe, objective=replace(recipe.objective, geometry=Surfaces(after=self.geometry_after))
+            )
         weights = PHOTO_WEIGHTS[self.weighing(dataset)]
         recipe = replace(recipe, objective=replace(recipe.objective, weights=weights))
         drawing = Drawing(
@@ -174,7 +182,7 @@ class Settings:
     def initialization(self) -> Initialization:
         """Returns how the first Gaussians are created."""
         if self.city:
-            return FromBlock(digest_of(self.city / PLAN), self.block)
+            return FromBlock(file_digest(self.city / PLAN), self.block)
         preset = PRESETS[self.recipe]
         start = (
             preset.random_start if self.init == "random" else preset.build(steps=self.steps).initialization

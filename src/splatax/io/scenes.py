@@ -17,11 +17,12 @@ from jaxtyping import Bool
 
 from splatax.errors import FormatError
 from splatax.gaussians import Gaussians, broken
-from splatax.io.formats import glb
-from splatax.io.formats.glb_scene import ORIGINAL, VISIBILITY, Placed
+from splatax.io.formats import glb, glb_scene
+from splatax.io.formats.glb_scene import ORIGINAL, VISIBILITY, Glb, Placed
 from splatax.io.formats.marks import mark, marked
 from splatax.io.formats.untrusted import structured
-from splatax.scene import ColorMap, Option, Part, Scene, Variants, chosen
+from splatax.io.variants import listed, map_of, rows_of, variants_of
+from splatax.scene import Part, Scene, Variants, chosen
 from splatax.scene.variants import check_variants
 from splatax.transforms import Similarity, half_turn
 
@@ -41,9 +42,8 @@ def load_scene(path: str | Path) -> Scene:
     Raises:
         FormatError: if the file is missing or damaged, is no .glb file, or has no splats.
     """
-    path = Path(path)
-    with _opened(path):
-        return Scene({name: part for name, (part, _) in _parts(path).items()})
+    with opened(path) as file:
+        return scene_in(file)
 
 
 def load_variants(path: str | Path) -> tuple[Scene, Variants]:
@@ -56,45 +56,50 @@ def load_variants(path: str | Path) -> tuple[Scene, Variants]:
     Raises:
         FormatError: see `load_scene`; or if the variants do not fit the parts.
     """
-    path = Path(path)
-    with _opened(path):
-        scene = Scene({name: _alone(part, extras) for name, (part, extras) in _parts(path).items()})
-        variants = {
-            str(variant["name"]): {
-                str(option["name"]): Option(
-                    tuple(map(str, option["shows"])),
-                    {str(part): _map(rows) for part, rows in option["colors"].items()},
-                )
-                for option in variant["options"]
-            }
-            for variant in glb.extras(path).get("variants", ())
-        }
-        check_variants(scene, variants)
-    return scene, variants
+    with opened(path) as file:
+        return variants_in(file)
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[None]:
-    """Turns errors about a file that is read inside into a `FormatError`."""
+def opened(path: str | Path) -> Iterator[Glb]:
+    """Reads a .glb file, and turns errors about it inside into a `FormatError`.
+
+    Raises:
+        FormatError: if the file is missing or damaged, or is no .glb file.
+    """
+    path = Path(path)
     _check_suffix(path)
     if not path.is_file():
         raise FormatError(f"{path}: no such file. Give a .glb file with splats.")
     with structured(path, path.suffix):
-        yield
+        yield glb_scene.read(path)
 
 
-def _parts(path: Path) -> dict[str, tuple[Part, dict[str, Any]]]:
+def scene_in(file: Glb) -> Scene:
+    """Returns the parts of a file; see `load_scene`."""
+    return Scene({name: part for name, (part, _) in _parts(file).items()})
+
+
+def variants_in(file: Glb) -> tuple[Scene, Variants]:
+    """Returns the parts of a file as without variants, and the variants; see `load_variants`."""
+    scene = Scene({name: _alone(part, extras) for name, (part, extras) in _parts(file).items()})
+    variants = variants_of(glb.extras_in(file).get("variants", ()))
+    check_variants(scene, variants)
+    return scene, variants
+
+
+def _parts(file: Glb) -> dict[str, tuple[Part, dict[str, Any]]]:
     """Returns the parts of a file as its nodes show them, each with what was noted at its node."""
-    comments = glb.comments(path)
+    comments = glb.comments_in(file)
     turned: dict[int, Gaussians] = {}
     parts: dict[str, tuple[Part, dict[str, Any]]] = {}
-    found = glb.placed(path, ORIGINAL)
+    found = glb.placed(file, ORIGINAL)
     for name, (at, gaussians) in zip(names_of([at for at, _ in found]), found, strict=True):
         if id(gaussians) not in turned:
             turned[id(gaussians)] = marked(half_turn(gaussians, axis=2), comments)
         # Other programs may have dropped the original harmonics: the map is then part of the colours.
         original = any(attribute.startswith(ORIGINAL) for attribute in at.primitive["attributes"])
-        color = _map(at.extras["color"]) if original and "color" in at.extras else None
+        color = map_of(at.extras["color"]) if original and "color" in at.extras else None
         parts[name] = Part(turned[id(gaussians)], half_turned(at.place), at.visible, color), at.extras
     return parts
 
@@ -111,22 +116,8 @@ def _alone(part: Part, extras: Mapping[str, Any]) -> Part:
     """Returns a part as it is without variants."""
     if (alone := extras.get("alone")) is None:
         return part
-    color = None if alone["color"] is None else _map(alone["color"])
+    color = None if alone["color"] is None else map_of(alone["color"])
     return replace(part, visible=bool(alone["visible"]), color=color)
-
-
-def _map(rows: Any) -> ColorMap:
-    """Returns a map of colours from the rows of its matrix, each with its offset at the end."""
-    numbers = np.array(rows, np.float32).reshape(3, 4)
-    if not np.isfinite(numbers).all():
-        raise ValueError("a map of colours is not finite")
-    return ColorMap(numbers[:, :3], numbers[:, 3])
-
-
-def _rows(color: ColorMap | None) -> list[list[float]] | None:
-    if color is None:
-        return None
-    return np.column_stack([np.asarray(color.matrix), np.asarray(color.offset)]).tolist()
 
 
 def save_scene(
@@ -191,9 +182,9 @@ def written(path: Path, scene: Scene, variants: Variants, comments: tuple[str, .
         if part is not (own := scene[name]):
             node.setdefault("extras", {"splatax": {}})["splatax"]["alone"] = {
                 "visible": bool(own.visible > 0),
-                "color": _rows(own.color),
+                "color": rows_of(own.color),
             }
-    kept = {"variants": _listed(variants)} if variants else {}
+    kept = {"variants": listed(variants)} if variants else {}
     return Written(nodes, meshes, (mark(filters.pop()), *comments), kept)
 
 
@@ -222,24 +213,6 @@ def _drawn_parts(path: Path, scene: Scene) -> tuple[list[dict[str, Any]], list[g
     return nodes, made
 
 
-def _listed(variants: Variants) -> list[dict[str, Any]]:
-    """Returns variants as JSON values."""
-    return [
-        {
-            "name": variant,
-            "options": [
-                {
-                    "name": name,
-                    "shows": list(option.shows),
-                    "colors": {part: _rows(color) for part, color in option.colors.items()},
-                }
-                for name, option in options.items()
-            ],
-        }
-        for variant, options in variants.items()
-    ]
-
-
 def _node(name: str, part: Part, mesh: int) -> dict[str, Any]:
     from scipy.spatial.transform import Rotation
 
@@ -254,7 +227,7 @@ def _node(name: str, part: Part, mesh: int) -> dict[str, Any]:
     if part.visible <= 0:
         node["extensions"] = {VISIBILITY: {"visible": False}}
     if part.color is not None:
-        node["extras"] = {"splatax": {"color": _rows(part.color)}}
+        node["extras"] = {"splatax": {"color": rows_of(part.color)}}
     return node
 
 

@@ -17,6 +17,7 @@ from splatax.mesh.views import DepthView, Watch, unwatched
 LEAST_COMPONENT = 0.01  # area of a part that is kept, as a fraction of that of the largest
 LEAST_VIEWS = 3  # a surface that fewer views see is often fog in front of that camera
 LEAST_FACES = 4
+MOST_KEPT = 0.95  # fraction of faces; a pass that keeps more of them is the last one
 
 
 def extract(
@@ -79,14 +80,20 @@ def check(voxel: float | None, faces: int | None) -> None:
 def simplified(mesh: Mesh, faces: int) -> Mesh:
     """Returns the mesh with about this many faces, by collapsing edges (Garland and Heckbert 1997).
 
-    Colours are those of the nearest vertices before. A mesh with fewer faces stays as it is.
+    Colours are those of the nearest vertices before. A mesh with fewer faces stays as it is. One with many
+    borders, such as a sheet with holes, keeps more faces: those that cannot go without moving the borders.
 
     Raises:
         MissingPackageError: if a package that makes meshes is not installed.
     """
     if len(mesh.faces) <= faces:
         return mesh
-    vertices, triangles = needed().simplify(mesh.vertices, mesh.faces.astype(np.int32), target_count=faces)
+    vertices, triangles = mesh.vertices, mesh.faces.astype(np.int32)
+    kept = 0.0
+    while len(triangles) > faces and kept < MOST_KEPT:  # each pass spares borders as they are when it begins
+        before = len(triangles)
+        vertices, triangles = needed().simplify(vertices, triangles, target_count=faces)
+        kept = len(triangles) / before
     nearest = cKDTree(mesh.vertices).query(vertices)[1]
     whole = Mesh(vertices, np.asarray(triangles, np.int64), mesh.colors[nearest])
     return whole.with_faces(whole.areas > 0)

@@ -164,7 +164,7 @@ class Session:
         self.last = state
 
 
-class Following(Session):
+class WorkerSession(Session):
     """A run in a process that makes the steps with others, and leaves evaluation and pictures to process 0.
 
     Process 0 gathers the scene for them from the devices of all processes, which therefore all take part.

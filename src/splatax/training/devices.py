@@ -70,7 +70,7 @@ def placement(state: TrainState) -> TrainState:
 
 
 @dataclass(frozen=True)
-class Dealt:
+class Sharding:
     """The state of a run on several devices.
 
     Attributes:
@@ -130,7 +130,7 @@ class Dealt:
             return jax.random.wrap_key_data(self._put(jax.random.key_data(leaf), place))
         host = np.asarray(leaf)
         if place == ROWS:
-            host = dealt(host, self.mesh.size)
+            host = by_device(host, self.mesh.size)
         return self._sent(host, place)
 
     def _sent(self, host: np.ndarray, place: PartitionSpec) -> Array:
@@ -146,7 +146,7 @@ class Dealt:
         return jnp.asarray(in_order(host, self.mesh.size) if place == ROWS else host)
 
 
-def dealt(rows: np.ndarray, devices: int) -> np.ndarray:
+def by_device(rows: np.ndarray, devices: int) -> np.ndarray:
     """Returns rows by device, from rows in order."""
     blocks = rows.reshape(-1, devices, BLOCK, *rows.shape[1:])
     return blocks.swapaxes(0, 1).reshape(rows.shape)

@@ -1,6 +1,5 @@
 """Digests of what a run is made of: its capture, its recipe, and the state from which it starts."""
 
-import hashlib
 import re
 from typing import Any
 
@@ -8,6 +7,7 @@ import jax
 import numpy as np
 
 from splatax.dataset import Dataset
+from splatax.digests import digest
 from splatax.training.random_keys import as_integers
 from splatax.training.recipes import Recipe
 
@@ -26,11 +26,11 @@ def fingerprint(dataset: Dataset) -> dict[str, Any]:
     block = [np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(parts)]
     return {
         "photos": f"{len(dataset.train)} to train on and {len(dataset.test)} held out",
-        "names, sizes and masks of photos": _digest(repr(sizes).encode()),
-        "cameras": _digest(lenses.encode(), *(array.tobytes() for array in cameras)),
+        "names, sizes and masks of photos": digest(repr(sizes).encode()),
+        "cameras": digest(lenses.encode(), *(array.tobytes() for array in cameras)),
         "points": f"{len(dataset.points)}, "
-        + _digest(dataset.points.positions.tobytes(), dataset.points.colors.tobytes()),
-    } | ({"block": _digest(*block)} if block else {})
+        + digest(dataset.points.positions.tobytes(), dataset.points.colors.tobytes()),
+    } | ({"block": digest(*block)} if block else {})
 
 
 def facts_of(recipe: Recipe, dataset: Dataset, state: Any) -> dict[str, str]:
@@ -47,13 +47,6 @@ def facts_of(recipe: Recipe, dataset: Dataset, state: Any) -> dict[str, str]:
     leaves = map(as_integers, jax.tree.leaves(state))
     return {
         **{name: str(value) for name, value in fingerprint(dataset).items()},
-        "recipe": _digest(re.sub(addresses, "", repr(settings)).encode()),
-        "state before the first step": _digest(*(np.asarray(leaf).tobytes() for leaf in leaves)),
+        "recipe": digest(re.sub(addresses, "", repr(settings)).encode()),
+        "state before the first step": digest(*(np.asarray(leaf).tobytes() for leaf in leaves)),
     }
-
-
-def _digest(*parts: bytes) -> str:
-    digest = hashlib.sha256()
-    for part in parts:
-        digest.update(part)
-    return digest.hexdigest()[:16]

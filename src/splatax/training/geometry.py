@@ -31,6 +31,7 @@ from splatax.surfaces import normals_of
 from splatax.training.canvases import mean_over
 from splatax.training.objectives import TrainingView
 
+GROWTH = 0.1  # fraction of the run in which penalties that begin late reach their weights
 LEAST_VARIANCE = 1e-8  # of relative depth, below which float32 cannot tell it from zero
 
 
@@ -59,6 +60,8 @@ class Surfaces:
         points: weight of the relative depth error at landmarks.
         spread_limit: spread to which a larger one tends in the penalty, see `saturated`.
         points_limit: relative error to which a larger one tends in the penalty.
+        after: fraction of the run, below 1, before which the penalties are zero. They grow from there to
+            their weights within a tenth of the run.
     """
 
     spread: float = 0.1
@@ -66,6 +69,7 @@ class Surfaces:
     points: float = 0.6
     spread_limit: float = 0.05
     points_limit: float = 0.01
+    after: float = 0.0
 
     @property
     def outputs(self) -> Mapping[str, Output]:
@@ -85,7 +89,9 @@ class Surfaces:
             penalty += self.consistency * inconsistency(images["facing"], depth, seen.camera)
         if self.points and seen.landmarks is not None:
             penalty += self.points * error_at(seen.landmarks, depth, seen.camera, limit=self.points_limit)
-        return penalty
+        if not self.after:
+            return penalty
+        return penalty * jnp.clip((seen.progress - self.after) / GROWTH, 0, 1)
 
 
 def saturated(error: Float[Array, "*shape"], limit: float) -> Float[Array, "*shape"]:

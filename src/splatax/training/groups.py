@@ -3,26 +3,27 @@
 import math
 from collections import deque
 from collections.abc import Hashable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import replace
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from itertools import count, islice
-from typing import NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from splatax.ahead import cores
 from splatax.cameras import Camera
 from splatax.dataset import Pixels, View
 from splatax.training.comparison import Views
-from splatax.training.devices import Dealt
+from splatax.training.devices import Sharding
 from splatax.training.feed import READERS, landmarks_of, order, sources
 from splatax.training.photo_cache import Frame, PhotoCache, with_alpha
 from splatax.training.protocols import ResolutionSchedule, Source
 from splatax.training.recipes import Recipe
 
 
-class Begun(NamedTuple):
+@dataclass(frozen=True)
+class PendingStep:
     """A step whose photos are being read."""
 
     group: list[int]
@@ -36,12 +37,51 @@ class Begun(NamedTuple):
             frame.cancel()
 
 
+@dataclass(frozen=True)
+class Reader:
+    """Reads the photos of steps in threads, and sends them to the devices.
+
+    Attributes:
+        photos: decodes the photos of the training views.
+        sources: of the training views.
+        landmarks: of the training views; None if the loss does not use them.
+        sharding: the devices.
+        here: which views of a step the devices of this process draw.
+        size: views of a step.
+        decoders: threads that decode photos.
+        sender: the thread that sends them.
+    """
+
+    photos: PhotoCache
+    sources: list[Source]
+    landmarks: Float[np.ndarray, "views k 3"] | None
+    sharding: Sharding
+    here: range
+    size: int
+    decoders: Executor
+    sender: Executor
+
+    def start(self, group: list[int], divisor: int) -> PendingStep:
+        """Starts to read the photos of a step, shrunk by the divisor."""
+        frames = [self.decoders.submit(self.photos.frame, group[place], divisor) for place in self.here]
+        return PendingStep(group, divisor, frames, self.sender.submit(self._sent, group, divisor, frames))
+
+    def _sent(self, group: list[int], divisor: int, frames: list[Future[Frame]]) -> Views:
+        cameras = [self.photos.camera(index, divisor) for index in group]
+        read = [frame.result() for frame in frames]
+        views = _sent(cameras, [self.sources[index] for index in group], read, divisor, self.sharding)
+        if self.landmarks is None:
+            return views
+        own = self.landmarks[[group[place] for place in self.here]]
+        return replace(views, landmarks=self.sharding.views(own, self.size))
+
+
 def steps_of(
     views: Sequence[View],
     recipe: Recipe,
     start: int,
     resolution: ResolutionSchedule,
-    dealt: Dealt,
+    sharding: Sharding,
     photos: PhotoCache | None = None,
 ) -> Iterator[Views]:
     """Yields the views of each step, without end; the next ones are read while the caller trains.
@@ -55,51 +95,36 @@ def steps_of(
         start: number of steps to skip; what follows does not depend on it.
         resolution: size of the photos at each step. It may change between steps: views that were read ahead
             at another size are read again.
-        dealt: the devices.
+        sharding: the devices.
         photos: decodes the photos of the views; None for a cache with room for all of them.
     """
-    cache, origin = photos or PhotoCache(views, math.inf), sources(views)
-    known = landmarks_of(views) if recipe.objective.geometry.outputs else None
-    size = recipe.views
-    here = dealt.drawn_here(size)
-    readers = min(cores(), READERS)
-    most_ahead = -(-readers // max(len(here), 1))  # steps
+    cache, size, here = photos or PhotoCache(views, math.inf), recipe.views, sharding.drawn_here(recipe.views)
+    landmarks = landmarks_of(views) if recipe.objective.geometry.outputs else None
+    threads = min(cores(), READERS)
+    most_ahead = -(-threads // max(len(here), 1))  # steps
+    kinds = [cache.kind(index) for index in range(len(views))]
+    groups = islice(grouped(kinds, size, recipe.seed), start, None)
 
     def divisor_at(step: int, group: list[int]) -> int:
         camera = views[group[0]].camera
         return resolution.divisor(step, (camera.width, camera.height))
 
-    def sent(group: list[int], divisor: int, frames: list[Future[Frame]]) -> Views:
-        cameras = [cache.camera(index, divisor) for index in group]
-        read = [frame.result() for frame in frames]
-        views = _sent(cameras, [origin[i] for i in group], read, divisor, dealt)
-        if known is None:
-            return views
-        return replace(views, landmarks=dealt.views(known[[group[place] for place in here]], size))
-
-    groups = islice(
-        grouped([cache.kind(index) for index in range(len(views))], size, recipe.seed), start, None
-    )
-    with ThreadPoolExecutor(readers) as pool, ThreadPoolExecutor(1) as sender:
-
-        def begun(group: list[int], divisor: int) -> Begun:
-            frames = [pool.submit(cache.frame, group[place], divisor) for place in here]
-            return Begun(group, divisor, frames, sender.submit(sent, group, divisor, frames))
-
-        ahead: deque[Begun] = deque()
+    with ThreadPoolExecutor(threads) as decoders, ThreadPoolExecutor(1) as sender:
+        reader = Reader(cache, sources(views), landmarks, sharding, here, size, decoders, sender)
+        pending: deque[PendingStep] = deque()
         try:
             for step in count(start + 1):
-                for later in range(step + len(ahead), step + most_ahead + 1):
+                for later in range(step + len(pending), step + most_ahead + 1):
                     group = next(groups)
-                    ahead.append(begun(group, divisor_at(later, group)))
-                now = ahead.popleft()
+                    pending.append(reader.start(group, divisor_at(later, group)))
+                now = pending.popleft()
                 if now.divisor != (wanted := divisor_at(step, now.group)):
                     now.cancel()
-                    now = begun(now.group, wanted)
+                    now = reader.start(now.group, wanted)
                 yield now.views.result()
         finally:
-            for later_one in ahead:
-                later_one.cancel()
+            for unused in pending:
+                unused.cancel()
 
 
 def grouped(kinds: Sequence[Hashable], size: int, seed: int) -> Iterator[list[int]]:
@@ -117,20 +142,20 @@ def grouped(kinds: Sequence[Hashable], size: int, seed: int) -> Iterator[list[in
 
 
 def _sent(
-    cameras: list[Camera], sources: list[Source], frames: list[Frame], divisor: int, dealt: Dealt
+    cameras: list[Camera], sources: list[Source], frames: list[Frame], divisor: int, sharding: Sharding
 ) -> Views:
     """Sends the views of a step to the devices."""
     camera, source = (
         jax.tree.map(
-            lambda *leaves: dealt.everywhere(np.stack([np.asarray(leaf) for leaf in leaves])), *trees
+            lambda *leaves: sharding.everywhere(np.stack([np.asarray(leaf) for leaf in leaves])), *trees
         )
         for trees in (cameras, sources)
     )
     masks = [mask for _, _, mask in frames if mask is not None]
     return Views(
         camera,
-        dealt.views(np.stack(_alike([photo for _, photo, _ in frames])), len(cameras)),
-        dealt.views(np.stack(masks), len(cameras)) if masks else None,
+        sharding.views(np.stack(_alike([photo for _, photo, _ in frames])), len(cameras)),
+        sharding.views(np.stack(masks), len(cameras)) if masks else None,
         source,
         divisor=divisor,
     )

@@ -136,7 +136,7 @@ def optimize(
         state = first_state(padded, recipe, dataset.extent, rows_for(dataset.train))
         start = RunState(state, len(gaussians))
     stepper = stepper_for(recipe, devices, dataset.block)
-    stepper.meet(partial(facts_of, recipe, dataset, start.train))
+    stepper.synchronize(partial(facts_of, recipe, dataset, start.train))
     yield from _steps(dataset, recipe, start, pace or (lambda step: None), photo_room, stepper)
 
 
@@ -194,25 +194,9 @@ def _steps(
     for step, seen in enumerate(feed, done + 1):
         state, loss = stepper.step(state, seen, recipe)
         if refinement := schedule.refinement(step, recipe.density):
-            state = stepper.gathered(state, rows)
-            gaussians, broken = without_broken(state.gaussians)
-            refined = recipe.density.refine(
-                state.density_state,
-                gaussians,
-                count,
-                refinement,
-                dataset.extent,
-                jax.random.fold_in(refine_key, step),
-            )
-            count, rows = refined.count, len(refined.gaussians)
-            state = replace(
-                state,
-                gaussians=refined.gaussians,
-                opt_state=inherit(state.opt_state, refined.lineage, refined.gaussians, recipe.optimizer.rule),
-                density_state=refined.state,
-                faults=state.faults._replace(gaussians=state.faults.gaussians + broken),
-            )
-            state = stepper.placed(state)
+            state, key = stepper.gathered(state, rows), jax.random.fold_in(refine_key, step)
+            state, count = _refined(state, count, refinement, dataset.extent, recipe, key)
+            rows, state = len(state.gaussians), stepper.placed(state)
         yield Progress(step, total, loss, count, state, rows, stepper, recipe.drawing.low_pass)
         planned = pace(step)
         if planned is not None:
@@ -220,3 +204,31 @@ def _steps(
             state = replace(state, total=jnp.int32(total))
         if step >= total:
             return
+
+
+def _refined(
+    state: TrainState, count: int, refinement: int, extent: float, recipe: Recipe, key: PRNGKeyArray
+) -> tuple[TrainState, int]:
+    """Removes broken Gaussians, and lets density control add and remove others.
+
+    Args:
+        state: the state, whose rows are in order.
+        count: number of living Gaussians.
+        refinement: step of the recipe whose refinement is due.
+        extent: of the scene, world units.
+        recipe: the settings.
+        key: random key of the refinement.
+
+    Returns:
+        The state and the number of living Gaussians.
+    """
+    gaussians, broken = without_broken(state.gaussians)
+    update = recipe.density.refine(state.density_state, gaussians, count, refinement, extent, key)
+    refined = replace(
+        state,
+        gaussians=update.gaussians,
+        opt_state=inherit(state.opt_state, update.lineage, update.gaussians, recipe.optimizer.rule),
+        density_state=update.state,
+        faults=state.faults._replace(gaussians=state.faults.gaussians + broken),
+    )
+    return refined, update.count

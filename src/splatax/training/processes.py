@@ -1,7 +1,7 @@
 """The processes of a run that `jax.distributed` has joined: messages, and the check that all agree.
 
-They speak through the key-value store of `jax.distributed`, not by collective operations on devices, which
-may time out: a process waits for as long as another works, and hears if another ends.
+They communicate through the key-value store of `jax.distributed`, not by collective operations on devices,
+which may time out: a process waits for as long as another works, and learns it if another exits.
 """
 
 import itertools
@@ -16,33 +16,32 @@ from jax._src import distributed  # the store has no public name
 from splatax.errors import InputError
 
 PART = 1 << 20  # bytes of one entry: gRPC limits messages to 4 MB
-PATIENCE = 2_000  # ms of one wait, after which a process looks whether another has ended
-ENDED = "splatax/ended"  # folder of entries of processes that have ended early
+POLL = 2_000  # ms of one wait for an entry, after which a process looks whether another has exited
+EXITS = "splatax/exits"  # folder of entries of processes that have exited early
 _numbers = itertools.count()  # of messages: all processes send and await the same ones, in the same order
 
 
-def from_first(value: bytes | None = None) -> bytes:
-    """Returns the value that process 0 gives. The others wait for it, as long as it takes.
-
-    Args:
-        value: of process 0; None in the others.
-
-    Raises:
-        InputError: if another process has ended meanwhile.
-    """
+def broadcast(value: bytes) -> None:
+    """Sends bytes from process 0, which calls this, to all others, which call `receive`."""
     name = _next_name()
-    if value is None:
-        return _read(name)
     if _state().num_processes > 1:
         _write(name, value)
-    return value
 
 
-def from_all(value: bytes) -> list[bytes]:
-    """Returns the values that all processes give, in the order of the processes.
+def receive() -> bytes:
+    """Returns the bytes that process 0 broadcasts, for which it waits as long as it takes.
 
     Raises:
-        InputError: if another process has ended meanwhile.
+        InputError: if another process has exited meanwhile.
+    """
+    return _read(_next_name())
+
+
+def all_gather(value: bytes) -> list[bytes]:
+    """Returns the bytes that each process gives, in the order of the processes. All of them call this.
+
+    Raises:
+        InputError: if another process has exited meanwhile.
     """
     name = _next_name()
     if _state().num_processes == 1:
@@ -51,14 +50,14 @@ def from_all(value: bytes) -> list[bytes]:
     return [_read(f"{name}/{index}") for index in range(_state().num_processes)]
 
 
-def tell_the_end(reason: str) -> None:
-    """Tells the other processes that this one ends early, so that none waits for it."""
+def announce_exit(reason: str) -> None:
+    """Tells the other processes that this one exits early, so that none waits for it."""
     text = f"process {_state().process_id} has ended the run: {reason}"
-    with suppress(jax.errors.JaxRuntimeError):  # process 0 and its store may have ended first
-        _client().key_value_set(f"{ENDED}/{_state().process_id}", text)
+    with suppress(jax.errors.JaxRuntimeError):  # process 0 and its store may have exited first
+        _client().key_value_set(f"{EXITS}/{_state().process_id}", text)
 
 
-def require_alike(facts: Mapping[str, str]) -> None:
+def require_same(facts: Mapping[str, str]) -> None:
     """Compares facts about a run among its processes, all of which call this.
 
     Args:
@@ -67,7 +66,7 @@ def require_alike(facts: Mapping[str, str]) -> None:
     Raises:
         InputError: if they differ, in every process.
     """
-    first, *others = (json.loads(text) for text in from_all(json.dumps(facts).encode()))
+    first, *others = (json.loads(text) for text in all_gather(json.dumps(facts).encode()))
     for index, other in enumerate(others, 1):
         differing = [name for name in {**first, **other} if first.get(name) != other.get(name)]
         if differing:
@@ -91,22 +90,32 @@ def _write(name: str, value: bytes) -> None:
 
 
 def _read(name: str) -> bytes:
-    count = int(_awaited(f"{name}/parts"))
-    return b"".join(_awaited(f"{name}/part/{number}") for number in range(count))
+    count = int(_entry(f"{name}/parts"))
+    return b"".join(_entry(f"{name}/part/{number}") for number in range(count))
 
 
-def _awaited(name: str) -> bytes:
-    while True:
-        try:
-            return bytes(_client().blocking_key_value_get_bytes(name, PATIENCE))
-        except jax.errors.JaxRuntimeError as error:
-            if "DEADLINE_EXCEEDED" not in str(error):
-                reason = (
-                    f"process 0 cannot be reached any more ({error}). Its messages say why; resume the run."
-                )
-                raise InputError(reason) from error
-        for _, text in _client().key_value_dir_get(ENDED):
-            raise InputError(text)
+def _entry(key: str) -> bytes:
+    """Returns an entry of the store, once it is there."""
+    while (value := _polled(key)) is None:
+        _require_no_exit()
+    return value
+
+
+def _polled(key: str) -> bytes | None:
+    """Returns an entry of the store; None if it is not there after `POLL`."""
+    try:
+        return bytes(_client().blocking_key_value_get_bytes(key, POLL))
+    except jax.errors.JaxRuntimeError as error:
+        if "DEADLINE_EXCEEDED" in str(error):
+            return None
+        raise InputError(
+            f"process 0 cannot be reached any more ({error}). Its messages say why; resume the run."
+        ) from error
+
+
+def _require_no_exit() -> None:
+    for _, reason in _client().key_value_dir_get(EXITS):
+        raise InputError(reason)
 
 
 def _client() -> Any:

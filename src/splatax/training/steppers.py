@@ -12,11 +12,11 @@ from jaxtyping import Array, Float
 from splatax.cameras.canvases import Size, canvases_for
 from splatax.dataset import Block, View
 from splatax.training.comparison import Views
-from splatax.training.devices import Dealt, devices_for
+from splatax.training.devices import Sharding, devices_for
 from splatax.training.feed import Batch, batches
 from splatax.training.groups import steps_of
 from splatax.training.photo_cache import PhotoCache
-from splatax.training.processes import require_alike
+from splatax.training.processes import require_same
 from splatax.training.protocols import ResolutionSchedule
 from splatax.training.recipes import Recipe
 from splatax.training.schedule import Schedule
@@ -31,7 +31,7 @@ MOST_PROGRAMS = 4  # of training steps for a scene of one size; one takes second
 class Stepper(Protocol):
     """Feeds and makes steps, and knows where the arrays of a run live."""
 
-    def meet(self, facts: Callable[[], Mapping[str, str]]) -> None:
+    def synchronize(self, facts: Callable[[], Mapping[str, str]]) -> None:
         """Waits for the other processes that make the steps, if there are any, before the first one.
 
         Args:
@@ -71,7 +71,7 @@ class OneView:
 
     surroundings: Mapping[str, Any] = field(default_factory=dict)
 
-    def meet(self, facts: Callable[[], Mapping[str, str]]) -> None:
+    def synchronize(self, facts: Callable[[], Mapping[str, str]]) -> None:
         """Returns at once."""
 
     def placed(self, state: TrainState) -> TrainState:
@@ -100,40 +100,40 @@ class SeveralViews:
     """Steps on several views, each drawn by one of several devices.
 
     Attributes:
-        dealt: the devices.
+        sharding: the devices.
         surroundings: as in `OneView`, on all devices.
     """
 
-    dealt: Dealt
+    sharding: Sharding
     surroundings: Mapping[str, Any] = field(default_factory=dict)
 
-    def meet(self, facts: Callable[[], Mapping[str, str]]) -> None:
+    def synchronize(self, facts: Callable[[], Mapping[str, str]]) -> None:
         """Compares facts with the processes of the other devices, and connects the devices."""
-        if self.dealt.by_processes:
-            require_alike(facts())
-            self.dealt.connect()
+        if self.sharding.by_processes:
+            require_same(facts())
+            self.sharding.connect()
 
     def placed(self, state: TrainState) -> TrainState:
         """Distributes the rows of a state over the devices."""
-        return self.dealt.placed(state)
+        return self.sharding.placed(state)
 
     def gathered(self, state: TrainState, rows: int) -> TrainState:
         """Collects the rows of a state from the devices."""
-        return self.dealt.gathered(state, rows)
+        return self.sharding.gathered(state, rows)
 
     def feed(
         self, views: Sequence[View], recipe: Recipe, done: int, schedule: Schedule, room: int | float
     ) -> Iterator[Views]:
         """Yields the views of one step after the other."""
         photos = PhotoCache(views, room, canvases_of(views, schedule))
-        return steps_of(views, recipe, done, schedule, self.dealt, photos)
+        return steps_of(views, recipe, done, schedule, self.sharding, photos)
 
     def step(self, state: TrainState, seen: Views, recipe: Recipe) -> tuple[TrainState, Float[Array, ""]]:
         """Makes a step on several views."""
         openings = jnp.asarray(recipe.sh.openings(recipe.steps))
         seen = replace(seen, **self.surroundings)
         return step_on_views(
-            state, seen, recipe.optimizer.rates, openings, of_a_step(recipe), self.dealt.mesh
+            state, seen, recipe.optimizer.rates, openings, of_a_step(recipe), self.sharding.mesh
         )
 
 
@@ -164,6 +164,6 @@ def stepper_for(recipe: Recipe, devices: Sequence[jax.Device] | None, block: Blo
     around = {} if block is None else {"context": block.context, "fraction": jnp.float32(block.fraction)}
     if recipe.views == 1 and devices is None:
         return OneView(around)
-    dealt = Dealt(devices_for(recipe.views, devices))
-    everywhere = jax.tree.map(lambda leaf: dealt.everywhere(np.asarray(leaf)), around)
-    return SeveralViews(dealt, everywhere)
+    sharding = Sharding(devices_for(recipe.views, devices))
+    everywhere = jax.tree.map(lambda leaf: sharding.everywhere(np.asarray(leaf)), around)
+    return SeveralViews(sharding, everywhere)

@@ -17,6 +17,7 @@ import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,8 @@ from splatax.errors import FormatError
 from splatax.gaussians import Gaussians
 from splatax.io import formats
 from splatax.io.rigs import load_animated
-from splatax.io.scenes import load_scene, load_variants
+from splatax.io.rigs.scenes import animated_in
+from splatax.io.scenes import load_scene, opened, variants_in
 from splatax.rendering import Color
 from splatax.scene import ColorMap, Option, Part, Scene, Variants, chosen
 from splatax.trajectories import keyframes
@@ -98,8 +100,9 @@ def compose(path: str | Path) -> Composition:
 
 def _from_glb(path: Path) -> Composition:
     """Returns the scene of a .glb file with its variants, and the first clip of its skinned parts."""
-    scene, variants = load_variants(path)
-    animated = load_animated(path)
+    with opened(path) as file:
+        scene, variants = variants_in(file)
+        animated = animated_in(file, scene)
     clip = next(iter(animated.clips.values()), None)
     motions = {} if clip is None else {name: Motion(rig, clip) for name, rig in animated.rigs.items()}
     bound = {
@@ -112,9 +115,8 @@ def _from_glb(path: Path) -> Composition:
 def _composed(path: Path, table: dict[str, Any]) -> Composition:
     known = ("title", "background", "parts", "variants", "hotspots", "start", "path", "embed")
     _check_keys("the file", table, known)
-    read: dict[tuple[str, str | None], Gaussians] = {}
-    rows, motions = table.get("parts", {}), dict[str, Motion]()
-    scene = Scene({name: _part(path, name, row, read, motions) for name, row in rows.items()})
+    files, rows, motions = _Files(path.parent), table.get("parts", {}), dict[str, Motion]()
+    scene = Scene({name: _part(files, name, row, motions) for name, row in rows.items()})
     variants = {
         variant: {name: _option(f"[variants.{variant}.{name}]", row) for name, row in options.items()}
         for variant, options in table.get("variants", {}).items()
@@ -132,52 +134,43 @@ def _composed(path: Path, table: dict[str, Any]) -> Composition:
     return Composition(scene, presentation, title, (rgb[0], rgb[1], rgb[2]), motions)
 
 
-def _part(
-    path: Path,
-    name: str,
-    row: dict[str, Any],
-    read: dict[tuple[str, str | None], Gaussians],
-    motions: dict[str, Motion],
-) -> Part:
+class _Files:
+    """The splat files of a composition, each of which is read once in each of the ways that parts need it."""
+
+    def __init__(self, folder: Path):
+        self.whole = cache(lambda name: formats.load(folder / name))
+        self.nodes = cache(lambda name: load_scene(folder / name))
+        self.animated = cache(lambda name: load_animated(folder / name))
+
+
+def _part(files: _Files, name: str, row: dict[str, Any], motions: dict[str, Motion]) -> Part:
     """Returns a part, and adds its clip to the motions if it plays one."""
     where = f"[parts.{name}]"
     known = ("file", "node", "clip", "degrees", "scale", "move", "visible", "tint", "dye", "matrix", "offset")
     _check_keys(where, row, known)
-    source = (str(row["file"]), row.get("node"))
+    file, node = str(row["file"]), row.get("node")
     if "clip" in row:
-        gaussians, motions[name] = _moving(where, path.parent / source[0], source[1], str(row["clip"]))
+        gaussians, motions[name] = _moving(where, files, file, node, str(row["clip"]))
     else:
-        if source not in read:
-            _read(path.parent / source[0], source, read)
-        gaussians = read[source]
+        gaussians = files.whole(file) if node is None else files.nodes(file)[node].gaussians
     place = {key: _numbers(f"{where} {key}", row[key], 3) for key in ("degrees", "move") if key in row}
     pose = Similarity.of(**place, scale=float(row.get("scale", 1)))  # type: ignore[arg-type]
     visible = _flag(f"{where} visible", row.get("visible", True))
     return Part(gaussians, pose, visible, _color(where, row))
 
 
-def _moving(where: str, file: Path, node: str | None, clip: str) -> tuple[Gaussians, Motion]:
+def _moving(where: str, files: _Files, file: str, node: str | None, clip: str) -> tuple[Gaussians, Motion]:
     """Returns the Gaussians of a part with a skin, and the clip that moves it."""
-    animated = load_animated(file)
-    names = [name for name in animated.rigs if node in (None, name)]
+    animated, name = files.animated(file), Path(file).name
+    names = [skinned for skinned in animated.rigs if node in (None, skinned)]
     if len(names) != 1:
         listed = ", ".join(animated.rigs) or "none"
-        raise ValueError(f"{where} has a clip, so it needs one part with a skin; {file.name} has {listed}")
+        raise ValueError(f"{where} has a clip, so it needs one part with a skin; {name} has {listed}")
     if clip not in animated.clips:
         listed = ", ".join(animated.clips) or "none"
-        raise ValueError(f"{where} has clip {clip!r}, and the clips of {file.name} are {listed}")
-    return animated.scene[names[0]].gaussians, Motion(animated.rigs[names[0]], animated.clips[clip])
-
-
-def _read(file: Path, source: tuple[str, str | None], read: dict[tuple[str, str | None], Gaussians]) -> None:
-    """Reads a file as one set of Gaussians, or those of all its nodes if the source names one."""
-    name, node = source
-    if node is None:
-        read[source] = formats.load(file)
-        return
-    scene = load_scene(file)
-    scene[node]
-    read.update({(name, other): part.gaussians for other, part in scene.parts.items()})
+        raise ValueError(f"{where} has clip {clip!r}, and the clips of {name} are {listed}")
+    gaussians = replace(animated.scene[names[0]].gaussians)  # of its own: others may play another clip
+    return gaussians, Motion(animated.rigs[names[0]], animated.clips[clip])
 
 
 def _color(where: str, row: Mapping[str, Any]) -> ColorMap | None:

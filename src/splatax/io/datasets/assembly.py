@@ -1,7 +1,7 @@
 """Turns a capture of any format into a data set of views."""
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -33,39 +33,17 @@ def dataset_of(capture: Capture, downscale: int | None, undistort: bool) -> Data
     folder = capture.photos or Path(os.path.commonpath([frame.path.parent for frame in present]))
     named = names_of(capture, present, folder)
     beside = {} if any(frame.mask for frame in present) else masks.masks_of(capture.home, named)
-    sources = [
-        photos.source_of(
-            name,
-            frame.path,
-            frame.lens(frame.path),
-            frame.cam_from_world,
-            capture.home,
-            frame.mask or beside.get(name),
-            frame.parallel,
-        )
-        for name, frame in sorted(named.items())
-    ]
+    sources = sources_of(capture, named, beside)
     factor = photos.shrink_factor(sources, capture.already, downscale)
-    views = [
-        replace(
-            source.view(factor, undistort),
-            landmarks=landmarks_of(source, named[source.name], capture.home),
-            face_of=named[source.name].face_of,
-        )
-        for source in sources
-    ]
+    views = views_of(capture, sources, named, factor, undistort)
     bent = {s.name for s in sources if not is_pinhole(s.camera) and (undistort or not s.known)}
     views, known = with_truth(capture, views, bent)
     views, exposed = motions.moving(views, motions.read(capture.home), bent)
     train, test = (tuple(views), ()) if capture.held_out is None else parted(capture, views, named)
-    points = capture.points
-    measured: tuple[str, ...] = ()
-    if not len(points):
-        maps = {name: frame.depth for name, frame in named.items() if frame.depth}
-        points, measured = depths.points_of(sources, maps, capture.home)
+    points, measured = points_of(capture, sources, named)
     unused = photos.unused(folder, [source.path for source in sources]) if folder != capture.home else ()
     errors = capture.errors({view.name: view.camera for view in views}) if capture.errors else {}
-    notes = [
+    notes = (
         *capture.notes,
         f"{photos_in(views)} of {photos_in(views) + len(unused)} photos registered",
         *faces(views),
@@ -77,17 +55,80 @@ def dataset_of(capture: Capture, downscale: int | None, undistort: bool) -> Data
         *exposed,
         *moved,
         *photos.limited(sources),
-    ]
-    if lenses := resampled(sources, undistort):
-        notes.append(lenses)
-    if count := sum(source.mask is not None for source in sources):
-        notes.append(f"masks for {count} of {len(views)} photos{f', from {masks.FOLDER}/' if beside else ''}")
-    if errors:
-        every = np.concatenate(list(errors.values()))
-        notes.append(f"median reprojection error {np.median(every):.2f} px ({len(every):,} observations)")
+        *resampled(sources, undistort),
+        *masked(sources, beside=bool(beside)),
+        *reprojected(errors),
+    )
     survey = photos.survey(sources, unused, errors)
     split = "" if capture.held_out is None else "as the capture's own files define"
-    return Dataset(train, test, points, tuple(notes), capture.background, survey, split)
+    return Dataset(train, test, points, notes, capture.background, survey, split)
+
+
+def sources_of(
+    capture: Capture, named: Mapping[str, Frame], beside: Mapping[str, Path]
+) -> list[photos.Source]:
+    """Returns the photos with their cameras and masks, sorted by name.
+
+    Args:
+        capture: the capture.
+        named: frames by the names of their photos.
+        beside: files of masks by the names of the photos, if the frames name none.
+    """
+    return [
+        photos.source_of(
+            name,
+            frame.path,
+            frame.lens(frame.path),
+            frame.cam_from_world,
+            capture.home,
+            frame.mask or beside.get(name),
+            frame.parallel,
+        )
+        for name, frame in sorted(named.items())
+    ]
+
+
+def views_of(
+    capture: Capture,
+    sources: Iterable[photos.Source],
+    named: Mapping[str, Frame],
+    factor: float,
+    undistort: bool,
+) -> list[View]:
+    """Returns the views of photos that are shrunk by a factor, with the surface points that each sees."""
+    return [
+        replace(
+            source.view(factor, undistort),
+            landmarks=landmarks_of(source, named[source.name], capture.home),
+            face_of=named[source.name].face_of,
+        )
+        for source in sources
+    ]
+
+
+def points_of(
+    capture: Capture, sources: list[photos.Source], named: Mapping[str, Frame]
+) -> tuple[PointCloud, tuple[str, ...]]:
+    """Returns the points of a capture, or those of its depth maps if it has none, and notes about these."""
+    if len(capture.points):
+        return capture.points, ()
+    maps = {name: frame.depth for name, frame in named.items() if frame.depth}
+    return depths.points_of(sources, maps, capture.home)
+
+
+def masked(sources: list[photos.Source], *, beside: bool) -> list[str]:
+    """Returns a list with a note about masks, some of a folder beside the photos, or an empty list."""
+    count = sum(source.mask is not None for source in sources)
+    where = f", from {masks.FOLDER}/" if beside else ""
+    return [f"masks for {count} of {len(sources)} photos{where}"] if count else []
+
+
+def reprojected(errors: Mapping[str, Float[np.ndarray, " n"]]) -> list[str]:
+    """Returns a list with a note about the reprojection errors of the views, or an empty list."""
+    if not errors:
+        return []
+    every = np.concatenate(list(errors.values()))
+    return [f"median reprojection error {np.median(every):.2f} px ({len(every):,} observations)"]
 
 
 def faces(views: list[View]) -> list[str]:
@@ -105,14 +146,14 @@ def landmarks_of(
     return frame.landmarks
 
 
-def resampled(sources: list[photos.Source], undistort: bool) -> str:
-    """Returns a line about photos that are undistorted, or trained through their lenses; empty if none is."""
+def resampled(sources: list[photos.Source], undistort: bool) -> list[str]:
+    """Returns a list with a note about photos with other lenses than a pinhole, or an empty list."""
     bent = [source for source in sources if not is_pinhole(source.camera)]
     resampled = [source for source in bent if undistort or not source.known]
     kinds = sorted({source.camera.model.name for source in resampled or bent})
     if resampled:
-        return f"{photos.counted(len(resampled))} undistorted ({', '.join(kinds)})"
-    return f"photos as they are, through their lenses ({', '.join(kinds)})" if bent else ""
+        return [f"{photos.counted(len(resampled))} undistorted ({', '.join(kinds)})"]
+    return [f"photos as they are, through their lenses ({', '.join(kinds)})"] if bent else []
 
 
 def parted_by_presence(capture: Capture) -> tuple[list[Frame], list[Frame]]:

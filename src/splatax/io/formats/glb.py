@@ -21,7 +21,7 @@ from splatax.errors import FormatError
 from splatax.gaussians import Gaussians, checked, joined
 from splatax.io.files import write_whole
 from splatax.io.formats import glb_scene, packing
-from splatax.io.formats.glb_scene import EXTENSION, ORIGINAL, Placed
+from splatax.io.formats.glb_scene import EXTENSION, ORIGINAL, Glb, Placed
 from splatax.io.formats.marks import MARKS
 from splatax.io.formats.tolerance import Tolerance
 from splatax.math import harmonics
@@ -64,42 +64,46 @@ def load(path: Path) -> Gaussians:
     Raises:
         FormatError: if the file is damaged, or has no visible splats.
     """
-    shown = [(place, gaussians) for place, gaussians in placed(path) if place.visible]
+    shown = [(place, gaussians) for place, gaussians in placed(glb_scene.read(path)) if place.visible]
     if not shown:
         raise FormatError(f"{path}: all its splats are hidden. Show some, or read it with load_scene.")
     return half_turn(joined([at.place.transform(gaussians) for at, gaussians in shown]), axis=2)
 
 
-def placed(path: Path, harmonics: str = HARMONICS) -> list[tuple[Placed, Gaussians]]:
+def placed(file: Glb, harmonics: str = HARMONICS) -> list[tuple[Placed, Gaussians]]:
     """Returns the splats of each primitive in its own frame, and their nodes, in the axes of glTF.
 
     Nodes that share a primitive share the Gaussians.
 
     Args:
-        path: the file.
+        file: the file.
         harmonics: prefix of the names of the harmonics to read: `HARMONICS`, or `ORIGINAL` for those
             before the map of colours that is noted at a node, where there is one.
 
     Raises:
         FormatError: if the file is damaged, or has no splats.
     """
-    gltf, buffer = glb_scene.chunks(path)
-    found = glb_scene.splats(path, gltf)
-    glb_scene.check_repetition(path, gltf, buffer, [at.primitive for at in found])
+    found = glb_scene.splats(file)
+    glb_scene.check_repetition(file, [at.primitive for at in found])
     read: dict[tuple[int, str], Gaussians] = {}
     result = []
     for at in found:
         # Other programs may have dropped the map: the harmonics with the map applied are then the colours.
         key = id(at.primitive), harmonics if "color" in at.extras else HARMONICS
         if key not in read:
-            read[key] = gaussians_of(glb_scene.accessors(path, gltf, buffer, at.primitive), key[1])
+            read[key] = gaussians_of(glb_scene.accessors(file, at.primitive), key[1])
         result.append((at, read[key]))
     return result
 
 
 def comments(path: Path) -> tuple[str, ...]:
     """Returns the comment lines that `save` wrote to the file's extras."""
-    asset = glb_scene.chunks(path)[0].get("asset", {})
+    return comments_in(glb_scene.read(path))
+
+
+def comments_in(file: Glb) -> tuple[str, ...]:
+    """Returns the comment lines that `save` wrote to the extras of a file."""
+    asset = file.gltf.get("asset", {})
     return tuple(str(line) for line in asset.get("extras", {}).get("comments", ()))
 
 
@@ -108,10 +112,9 @@ def save(path: Path, gaussians: Gaussians, *, comments: tuple[str, ...] = ()) ->
     write(path, [Mesh(gaussians)], [{"mesh": 0}], comments)
 
 
-def extras(path: Path) -> dict[str, Any]:
+def extras_in(file: Glb) -> dict[str, Any]:
     """Returns what `write` kept with the scene, by name."""
-    gltf, _ = glb_scene.chunks(path)
-    scene = (gltf.get("scenes") or [{}])[gltf.get("scene", 0)]
+    scene = (file.gltf.get("scenes") or [{}])[file.gltf.get("scene", 0)]
     return dict(scene.get("extras", {}).get("splatax", {}))
 
 

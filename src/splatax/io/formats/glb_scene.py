@@ -22,6 +22,20 @@ MAX_REPETITION = 16  # mean number of times that the nodes of a file may repeat 
 SMALLEST_ROW = 4 * (3 + 4 + 3 + 1 + 3)  # bytes in memory of a Gaussian with SH degree 0
 
 
+class Glb(NamedTuple):
+    """A .glb file that has been read.
+
+    Attributes:
+        path: path of the file, for messages.
+        gltf: its JSON chunk.
+        buffer: its binary chunk.
+    """
+
+    path: Path
+    gltf: dict[str, Any]
+    buffer: bytes
+
+
 class Placed(NamedTuple):
     """The splats of one primitive, as a node of the scene has them.
 
@@ -42,8 +56,8 @@ class Placed(NamedTuple):
     skin: int | None = None
 
 
-def chunks(path: Path) -> tuple[dict[str, Any], bytes]:
-    """Returns the JSON chunk and the binary chunk.
+def read(path: Path) -> Glb:
+    """Reads the JSON chunk and the binary chunk of a file.
 
     Raises:
         FormatError: if the file is not a .glb file of version 2, or is truncated.
@@ -61,45 +75,43 @@ def chunks(path: Path) -> tuple[dict[str, Any], bytes]:
         size = int(cursor.take("chunk", "<u4", 1)[0])
         kind = cursor.take("chunk", "u1", 4).tobytes()
         found.setdefault(kind, cursor.take("chunk", "u1", size).tobytes())
-    return json.loads(found[b"JSON"]), found.get(b"BIN\0", b"")
+    return Glb(path, json.loads(found[b"JSON"]), found.get(b"BIN\0", b""))
 
 
-def splats(path: Path, gltf: dict[str, Any]) -> list[Placed]:
+def splats(file: Glb) -> list[Placed]:
     """Returns the primitives that hold splats, as the scene's nodes place them, in the order of the nodes.
 
     Raises:
         FormatError: if there are none, or their compression is not supported.
     """
     found = []
-    for node, place, visible in _nodes(path, gltf):
+    for node, place, visible in _nodes(file):
         if "mesh" not in node:
             continue
-        for primitive in gltf["meshes"][node["mesh"]]["primitives"]:
+        for primitive in file.gltf["meshes"][node["mesh"]]["primitives"]:
             if (own := primitive.get("extensions", {}).get(EXTENSION)) is None:
                 continue
             if own.get("extensions") or f"{EXTENSION}:SCALE" not in primitive["attributes"]:
                 names = shown(", ".join(own.get("extensions", {}))) or "an unknown extension"
                 raise FormatError(
-                    f"{path}: its splats are compressed ({names}), which splatax does not read."
+                    f"{file.path}: its splats are compressed ({names}), which splatax does not read."
                 )
             extras = node.get("extras", {}).get("splatax", {})
             name, skin = str(node.get("name", "")), node.get("skin")
             found.append(Placed(primitive, place, name, visible, extras, skin))
     if not found:
-        raise FormatError(f"{path}: no splats: none of its meshes has the extension {EXTENSION}.")
+        raise FormatError(f"{file.path}: no splats: none of its meshes has the extension {EXTENSION}.")
     return found
 
 
-def accessors(
-    path: Path, gltf: dict[str, Any], buffer: bytes, primitive: dict[str, Any]
-) -> dict[str, np.ndarray]:
+def accessors(file: Glb, primitive: dict[str, Any]) -> dict[str, np.ndarray]:
     """Returns the splat attributes of a primitive as float32 arrays of n rows, by name.
 
     Raises:
         FormatError: if the arrays have different numbers of rows, or reach beyond the buffer.
     """
     arrays = {
-        name: accessor(path, gltf, buffer, index)
+        name: accessor(file, index)
         for name, index in primitive["attributes"].items()
         if name.startswith(PREFIXES)
     }
@@ -107,43 +119,37 @@ def accessors(
     for name, rows in arrays.items():
         if len(rows) != count:
             raise FormatError(
-                f"{path}: damaged: {shown(name)} has {len(rows):,} rows, but POSITION has {count:,}. All "
-                "attributes of its splats must have the same number. Get the file again."
+                f"{file.path}: damaged: {shown(name)} has {len(rows):,} rows, but POSITION has {count:,}. "
+                "All attributes of its splats must have the same number. Get the file again."
             )
     return arrays
 
 
-def check_repetition(
-    path: Path,
-    gltf: dict[str, Any],
-    buffer: bytes,
-    primitives: list[dict[str, Any]],
-    rows: str = "Gaussians",
-) -> None:
+def check_repetition(file: Glb, primitives: list[dict[str, Any]], rows: str = "Gaussians") -> None:
     """Refuses a file whose nodes repeat its splats or meshes so often that memory would run out.
 
     Args:
-        path: the file.
-        gltf: its JSON chunk.
-        buffer: its binary chunk.
+        file: the file.
         primitives: of all nodes that are read.
         rows: name of the rows of a primitive, for the message.
 
     Raises:
         FormatError: if the nodes ask for too many rows.
     """
-    counts = [gltf["accessors"][primitive["attributes"]["POSITION"]]["count"] for primitive in primitives]
-    if SMALLEST_ROW * sum(counts) > max(ALWAYS_ALLOWED, MAX_REPETITION * len(buffer)):
+    counts = [
+        file.gltf["accessors"][primitive["attributes"]["POSITION"]]["count"] for primitive in primitives
+    ]
+    if SMALLEST_ROW * sum(counts) > max(ALWAYS_ALLOWED, MAX_REPETITION * len(file.buffer)):
         raise FormatError(
-            f"{path}: damaged: its nodes ask for {sum(counts):,} {rows}, far more than the "
-            f"{len(buffer):,} bytes of the file hold. Get the file again."
+            f"{file.path}: damaged: its nodes ask for {sum(counts):,} {rows}, far more than the "
+            f"{len(file.buffer):,} bytes of the file hold. Get the file again."
         )
 
 
-def _nodes(path: Path, gltf: dict[str, Any]) -> Iterator[tuple[dict[str, Any], Similarity, bool]]:
+def _nodes(file: Glb) -> Iterator[tuple[dict[str, Any], Similarity, bool]]:
     """Yields the nodes of the scene in order, each with its place in the scene and whether it is visible."""
-    nodes = gltf["nodes"]
-    scene = gltf.get("scenes", [{"nodes": range(len(nodes))}])[gltf.get("scene", 0)]
+    nodes = file.gltf["nodes"]
+    scene = file.gltf.get("scenes", [{"nodes": range(len(nodes))}])[file.gltf.get("scene", 0)]
     waiting = [(index, Similarity.of(), True) for index in reversed(scene["nodes"])]
     for _ in range(MAX_NODES):
         if not waiting:
@@ -154,7 +160,7 @@ def _nodes(path: Path, gltf: dict[str, Any]) -> Iterator[tuple[dict[str, Any], S
         shown = shown and bool(node.get("extensions", {}).get(VISIBILITY, {}).get("visible", True))
         yield node, place, shown
         waiting += [(child, place, shown) for child in reversed(node.get("children", ()))]
-    raise FormatError(f"{path}: damaged: its nodes form a circle, or are more than {MAX_NODES:,}.")
+    raise FormatError(f"{file.path}: damaged: its nodes form a circle, or are more than {MAX_NODES:,}.")
 
 
 def _place(node: dict[str, Any]) -> Similarity:
@@ -172,12 +178,13 @@ def _place(node: dict[str, Any]) -> Similarity:
     return Similarity(rotation, np.array(node.get("translation", (0, 0, 0)), np.float64), float(scales[0]))
 
 
-def accessor(path: Path, gltf: dict[str, Any], buffer: bytes, index: int) -> np.ndarray:
+def accessor(file: Glb, index: int) -> np.ndarray:
     """Returns the rows of an accessor as float32; normalized integers are divided by their maximum.
 
     Raises:
         FormatError: if the accessor reaches beyond the buffer, or is sparse or outside the file.
     """
+    path, gltf, buffer = file
     accessor = gltf["accessors"][index]
     view = gltf["bufferViews"][accessor["bufferView"]]
     if accessor.get("sparse") or view.get("buffer", 0) != 0 or "uri" in gltf["buffers"][0]:

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from splatax.errors import FormatError, shown
 from splatax.io.formats import glb_scene
+from splatax.io.formats.glb_scene import Glb
 from splatax.io.formats.untrusted import structured
 from splatax.io.rigs.following import check_following
 from splatax.io.rigs.nodes import FRAME, Binding, Nodes, read_skeleton
@@ -29,7 +30,8 @@ def read_body(path: str | Path) -> Body:
     if not path.is_file():
         raise FormatError(f"{path}: no such file. Give a .glb file with a mesh and its skeleton.")
     with structured(path, ".glb"):
-        gltf, buffer = glb_scene.chunks(path)
+        file = glb_scene.read(path)
+        gltf = file.gltf
         found = [
             (number, primitive)
             for number, node in enumerate(gltf.get("nodes", ()))
@@ -38,9 +40,9 @@ def read_body(path: str | Path) -> Body:
             if primitive.get("mode", TRIANGLES) == TRIANGLES
         ]
         primitives = [primitive for _, primitive in found]
-        glb_scene.check_repetition(path, gltf, buffer, primitives, "vertices")
-        skeleton, clips, nodes, binding = read_skeleton(path, gltf, buffer)
-        parts = [_part(path, gltf, buffer, number, primitive, nodes, binding) for number, primitive in found]
+        glb_scene.check_repetition(file, primitives, "vertices")
+        skeleton, clips, nodes, binding = read_skeleton(file)
+        parts = [_part(file, number, primitive, nodes, binding) for number, primitive in found]
         if not parts:
             raise FormatError(f"{path}: no triangles. Give a .glb file with a mesh and its skeleton.")
         surface = _joined(parts)
@@ -49,24 +51,16 @@ def read_body(path: str | Path) -> Body:
     return Body(skeleton, clips, surface, notes)
 
 
-def _part(
-    path: Path,
-    gltf: dict[str, Any],
-    buffer: bytes,
-    number: int,
-    primitive: dict[str, Any],
-    nodes: Nodes,
-    binding: Binding,
-) -> Surface:
-    node, attributes = gltf["nodes"][number], primitive["attributes"]
+def _part(file: Glb, number: int, primitive: dict[str, Any], nodes: Nodes, binding: Binding) -> Surface:
+    path, node, attributes = file.path, file.gltf["nodes"][number], primitive["attributes"]
 
     def read(name: str) -> np.ndarray:
-        return glb_scene.accessor(path, gltf, buffer, attributes[name]).astype(np.float64)
+        return glb_scene.accessor(file, attributes[name]).astype(np.float64)
 
     vertices = read("POSITION")
     count = len(vertices)
     if "indices" in primitive:
-        corners = glb_scene.accessor(path, gltf, buffer, primitive["indices"])[:, 0].astype(np.int64)
+        corners = glb_scene.accessor(file, primitive["indices"])[:, 0].astype(np.int64)
     else:
         corners = np.arange(count)
     if len(corners) % 3 or (len(corners) and corners.max() >= count):
@@ -90,7 +84,9 @@ def _part(
         indices, weights = np.full((count, JOINTS), own), np.tile([1.0, 0, 0, 0], (count, 1))
     placed = FRAME @ place
     world = vertices @ placed[:3, :3].T + placed[:3, 3]
-    colors = _colors(gltf, primitive, read("COLOR_0") if "COLOR_0" in attributes else np.ones((count, 3)))
+    colors = _colors(
+        file.gltf, primitive, read("COLOR_0") if "COLOR_0" in attributes else np.ones((count, 3))
+    )
     if len(colors) != count:
         raise FormatError(f"{path}: damaged: not every vertex has a colour. Get the file again.")
     return Surface(world, corners.reshape(-1, 3), indices, weights, colors)

@@ -3,7 +3,7 @@
 glTF is left-up-forward, ours right-down-forward: half a turn around z, as for splats in a .glb file.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from splatax.errors import FormatError, shown
 from splatax.io.formats import glb_scene
+from splatax.io.formats.glb_scene import Glb
 from splatax.scene.clips import Channel, Clip
 from splatax.scene.skeleton import Pose, Skeleton
 
@@ -72,7 +73,7 @@ class Binding:
 
 
 def read_skeleton(
-    path: Path, gltf: dict[str, Any], buffer: bytes
+    file: Glb,
 ) -> tuple[Skeleton, dict[str, Clip], Nodes, Binding]:
     """Returns the joints of a file, its clips by name, its nodes, and the pose in which meshes are bound.
 
@@ -81,9 +82,9 @@ def read_skeleton(
     Raises:
         FormatError: if nothing in the file can move, or a skin or clip is not valid.
     """
-    nodes = _moving_nodes(path, gltf)
-    binding = _binding(path, gltf, buffer, nodes)
-    rest = _pose(path, nodes)
+    nodes = _moving_nodes(file)
+    binding = _binding(file, nodes)
+    rest = _pose(file.path, nodes)
     skeleton = Skeleton(
         rest,
         jnp.asarray(np.linalg.inv(binding.worlds) @ FRAME, jnp.float32),
@@ -91,11 +92,12 @@ def read_skeleton(
         tuple(nodes.names),
         tuple(nodes.parents),
     )
-    return skeleton, _clips(path, gltf, buffer, nodes), nodes, binding
+    return skeleton, _clips(file, nodes), nodes, binding
 
 
-def _moving_nodes(path: Path, gltf: dict[str, Any]) -> Nodes:
+def _moving_nodes(file: Glb) -> Nodes:
     """Returns joints, nodes with meshes, and all nodes above them."""
+    gltf = file.gltf
     listed = gltf.get("nodes", [])
     parents = {child: i for i, node in enumerate(listed) for child in node.get("children", ())}
     wanted = {joint for skin in gltf.get("skins", ()) for joint in skin["joints"]}
@@ -107,23 +109,33 @@ def _moving_nodes(path: Path, gltf: dict[str, Any]) -> Nodes:
     }
     if not wanted:
         raise FormatError(
-            f"{path}: nothing in it can move: it has neither a skin nor nodes with meshes. Export the body "
-            "with its skeleton."
+            f"{file.path}: nothing in it can move: it has neither a skin nor nodes with meshes. Export the "
+            "body with its skeleton."
         )
-    places: dict[int, int] = {}  # parents first
-    for node in sorted(wanted):
-        chain, passed = [node], {node}
-        while (above := parents.get(chain[-1], -1)) >= 0 and above not in places:
-            if above in passed:
-                raise FormatError(f"{path}: damaged: its nodes form a circle. Get the file again.")
-            chain.append(above)
-            passed.add(above)
-        for each in reversed(chain):
-            places.setdefault(each, len(places))
-    ids = list(places)
+    ids = _parents_first(file.path, wanted, parents)
     names = _unique((node, str(listed[node].get("name") or f"node {node}")) for node in ids)
+    places = {node: place for place, node in enumerate(ids)}
     tops = [places.get(parents.get(node, -1), -1) for node in ids]
     return Nodes(ids, tops, names, np.stack([_local(listed[node]) for node in ids]))
+
+
+def _parents_first(path: Path, wanted: Iterable[int], parents: Mapping[int, int]) -> list[int]:
+    """Returns nodes and all nodes above them, each after its parent.
+
+    Raises:
+        FormatError: if a node is above itself.
+    """
+    found: dict[int, None] = {}
+    for node in sorted(wanted):
+        chain = {node: None}  # from the node up to one that is found
+        above = parents.get(node)
+        while above is not None and above not in found:
+            if above in chain:
+                raise FormatError(f"{path}: damaged: its nodes form a circle. Get the file again.")
+            chain[above] = None
+            above = parents.get(above)
+        found.update(dict.fromkeys(reversed(chain)))
+    return list(found)
 
 
 def _meshes_of_splats(gltf: dict[str, Any]) -> set[int]:
@@ -172,20 +184,20 @@ def _pose(path: Path, nodes: Nodes) -> Pose:
     return Pose(*(jnp.asarray(rows, jnp.float32) for rows in (nodes.locals[:, :3, 3], quats, scales)))
 
 
-def _binding(path: Path, gltf: dict[str, Any], buffer: bytes, nodes: Nodes) -> Binding:
+def _binding(file: Glb, nodes: Nodes) -> Binding:
     """Returns the pose in which meshes are bound, with the topmost joint where the file has it."""
     rest, known = nodes.worlds, dict[int, np.ndarray]()
     binding = Binding(np.zeros_like(rest))
-    for number, skin in enumerate(gltf.get("skins", ())):
+    for number, skin in enumerate(file.gltf.get("skins", ())):
         joints = np.array([nodes.places[node] for node in skin["joints"]])
         inverse = np.tile(np.eye(4), (len(joints), 1, 1))
         if "inverseBindMatrices" in skin:
-            rows = glb_scene.accessor(path, gltf, buffer, skin["inverseBindMatrices"])
+            rows = glb_scene.accessor(file, skin["inverseBindMatrices"])
             inverse = rows.astype(np.float64).reshape(-1, 4, 4).transpose(0, 2, 1)
         if len(inverse) < len(joints):
             raise FormatError(
-                f"{path}: damaged: skin {number} has {len(joints)} joints, but {len(inverse)} inverse bind "
-                "matrices. Export the body again."
+                f"{file.path}: damaged: skin {number} has {len(joints)} joints, but {len(inverse)} inverse "
+                "bind matrices. Export the body again."
             )
         first = next((k for k, joint in enumerate(joints) if joint in known), int(np.argmin(joints)))
         placed = known.get(joints[first], rest[joints[first]]) @ inverse[first]
@@ -194,8 +206,8 @@ def _binding(path: Path, gltf: dict[str, Any], buffer: bytes, nodes: Nodes) -> B
             other = known.setdefault(joint, world)
             if np.abs(other - world).max() > AGREE * np.abs(world).max():
                 raise FormatError(
-                    f"{path}: its skins bind the joint {shown(nodes.names[joint])} in different places. Bind "
-                    "all meshes in the same pose, and export the body again."
+                    f"{file.path}: its skins bind the joint {shown(nodes.names[joint])} in different places. "
+                    "Bind all meshes in the same pose, and export the body again."
                 )
         binding.placed.append(placed)
         binding.joints.append(joints)
@@ -205,9 +217,9 @@ def _binding(path: Path, gltf: dict[str, Any], buffer: bytes, nodes: Nodes) -> B
     return binding
 
 
-def _clips(path: Path, gltf: dict[str, Any], buffer: bytes, nodes: Nodes) -> dict[str, Clip]:
+def _clips(file: Glb, nodes: Nodes) -> dict[str, Clip]:
     clips: dict[str, Clip] = {}
-    for number, animation in enumerate(gltf.get("animations", ())):
+    for number, animation in enumerate(file.gltf.get("animations", ())):
         name = str(animation.get("name") or f"clip {number}")
         name = name if name not in clips else f"{name} ({number})"
         channels = []
@@ -217,35 +229,34 @@ def _clips(path: Path, gltf: dict[str, Any], buffer: bytes, nodes: Nodes) -> dic
                 continue  # weights of morph targets, and nodes that move nothing
             sampler = animation["samplers"][channel["sampler"]]
             joint = nodes.places[target["node"]]
-            channels.append(_channel(path, gltf, buffer, sampler, joint, target["path"], name))
+            channels.append(_channel(file, sampler, joint, target["path"], name))
         clips[name] = Clip(name, tuple(channels))
     return clips
 
 
-def _channel(
-    path: Path, gltf: dict[str, Any], buffer: bytes, sampler: dict[str, Any], joint: int, prop: str, clip: str
-) -> Channel:
+def _channel(file: Glb, sampler: dict[str, Any], joint: int, prop: str, clip: str) -> Channel:
     interpolation = sampler.get("interpolation", "LINEAR")
-    times = glb_scene.accessor(path, gltf, buffer, sampler["input"]).astype(np.float64)[:, 0]
-    values = glb_scene.accessor(path, gltf, buffer, sampler["output"]).astype(np.float64)
+    times = glb_scene.accessor(file, sampler["input"]).astype(np.float64)[:, 0]
+    values = glb_scene.accessor(file, sampler["output"]).astype(np.float64)
     rows, width = INTERPOLATIONS.get(interpolation), PATHS[prop]
     wrong = rows is None or not len(times) or values.shape != (len(times) * rows, width)
     if wrong or (np.diff(times) <= 0).any() or not (np.isfinite(times).all() and np.isfinite(values).all()):
         raise FormatError(
-            f"{path}: damaged: the clip {shown(clip)} moves a {prop} by {shown(str(interpolation))} with "
-            f"{len(times)} times and {len(values)} values, or its times do not ascend. Export the clip again."
+            f"{file.path}: damaged: the clip {shown(clip)} moves a {prop} by {shown(str(interpolation))} "
+            f"with {len(times)} times and {len(values)} values, or its times do not ascend. Export the "
+            "clip again."
         )
     if max(-times[0], times[-1]) > LONGEST:
         raise FormatError(
-            f"{path}: damaged: the clip {shown(clip)} has times from {times[0]:g} to {times[-1]:g} seconds. "
-            "Clips of up to an hour are read. Export the clip again."
+            f"{file.path}: damaged: the clip {shown(clip)} has times from {times[0]:g} to {times[-1]:g} "
+            "seconds. Clips of up to an hour are read. Export the clip again."
         )
     values = values.reshape(len(times), -1, width)
     if prop == "rotation":
         values = values[..., [3, 0, 1, 2]]
         if not values[:, values.shape[1] // 2].any(axis=1).all():
             raise FormatError(
-                f"{path}: damaged: the clip {shown(clip)} has a rotation of zeros only. Export the clip "
+                f"{file.path}: damaged: the clip {shown(clip)} has a rotation of zeros only. Export the clip "
                 "again."
             )
     return Channel(joint, prop, times, values, interpolation)  # type: ignore[arg-type]

@@ -7,7 +7,6 @@ skin, and animations move it. Viewers that draw splats but know no skins of spla
 import warnings
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,12 +15,12 @@ from jaxtyping import Int
 from splatax.errors import FormatError
 from splatax.gaussians import broken
 from splatax.io.formats import glb, glb_scene
-from splatax.io.formats.glb_scene import Placed
+from splatax.io.formats.glb_scene import Glb, Placed
 from splatax.io.formats.untrusted import structured
 from splatax.io.rigs.following import check_following
 from splatax.io.rigs.nodes import read_skeleton
 from splatax.io.rigs.writing import FOLLOWS, POINTS, Mesh, joints_attributes, write_skinned
-from splatax.io.scenes import NO_VARIANTS, half_turned, load_scene, names_of, sound_rows, written
+from splatax.io.scenes import NO_VARIANTS, half_turned, names_of, opened, scene_in, sound_rows, written
 from splatax.scene import Part, Scene, Variants
 from splatax.scene.rigged import AnimatedScene, RiggedScene
 from splatax.scene.skeleton import Skeleton
@@ -115,43 +114,43 @@ def load_animated(path: str | Path) -> AnimatedScene:
     Raises:
         FormatError: if the file is missing or damaged, has no splats, or a skin or clip is not valid.
     """
-    path = Path(path)
-    scene = load_scene(path)
-    with structured(path, ".glb"):
-        gltf, buffer = glb_scene.chunks(path)
-        placed = glb_scene.splats(path, gltf)
-        if all(at.skin is None for at in placed):
-            return AnimatedScene(scene, {})
-        skeleton, clips, _, binding = read_skeleton(path, gltf, buffer)
-        rigs, parts = {}, dict(scene.parts)
-        for name, at in zip(names_of(placed), placed, strict=True):
-            if at.skin is not None:
-                known = binding.joints[at.skin]
-                rigs[name] = _rig(path, gltf, buffer, at, skeleton, known)
-                if len(rigs[name].weights) != len(parts[name].gaussians):
-                    raise FormatError(
-                        f"{path}: damaged: not every splat has joints and weights. Get the file again."
-                    )
-                parts[name] = _bound(parts[name], binding.placed[at.skin])
+    with opened(path) as file:
+        return animated_in(file, scene_in(file))
+
+
+def animated_in(file: Glb, scene: Scene) -> AnimatedScene:
+    """Returns the parts of a file with their skins and clips; see `load_animated`.
+
+    Args:
+        file: the file.
+        scene: its parts, by the names of `splatax.load_scene`.
+    """
+    placed = glb_scene.splats(file)
+    if all(at.skin is None for at in placed):
+        return AnimatedScene(scene, {})
+    skeleton, clips, _, binding = read_skeleton(file)
+    rigs, parts = {}, dict(scene.parts)
+    for name, at in zip(names_of(placed), placed, strict=True):
+        if at.skin is None:
+            continue
+        rigs[name] = _rig(file, at, skeleton, binding.joints[at.skin])
+        if len(rigs[name].weights) != len(parts[name].gaussians):
+            raise FormatError(
+                f"{file.path}: damaged: not every splat has joints and weights. Get the file again."
+            )
+        parts[name] = _bound(parts[name], binding.placed[at.skin])
     return AnimatedScene(Scene(parts), rigs, clips)
 
 
-def _rig(
-    path: Path,
-    gltf: dict[str, Any],
-    buffer: bytes,
-    at: Placed,
-    skeleton: Skeleton,
-    known: Int[np.ndarray, " _"],
-) -> Rig:
+def _rig(file: Glb, at: Placed, skeleton: Skeleton, known: Int[np.ndarray, " _"]) -> Rig:
     """Returns the rig of splats; `known` are the joints of their skin among those of the skeleton."""
     attributes = at.primitive["attributes"]
-    joints, weights = (
-        glb_scene.accessor(path, gltf, buffer, attributes[name]) for name in ("JOINTS_0", "WEIGHTS_0")
-    )
+    joints, weights = (glb_scene.accessor(file, attributes[name]) for name in ("JOINTS_0", "WEIGHTS_0"))
     if len(joints) != len(weights):
-        raise FormatError(f"{path}: damaged: not every splat has joints and weights. Get the file again.")
-    indices = known[check_following(path, joints, weights, len(known))]
+        raise FormatError(
+            f"{file.path}: damaged: not every splat has joints and weights. Get the file again."
+        )
+    indices = known[check_following(file.path, joints, weights, len(known))]
     sums = np.maximum(weights.sum(axis=1, keepdims=True), 1e-12)
     return Rig(skeleton, jnp.asarray(indices, jnp.int32), jnp.asarray(weights / sums, jnp.float32))
 
@@ -204,23 +203,23 @@ def load_rigged(path: str | Path) -> RiggedScene:
     path = Path(path)
     if not path.is_file():
         raise FormatError(f"{path}: no such file. Give a .glb file that splatax rig or splatax bind wrote.")
-    if (count := _skinned_splats(path)) != 1:
-        raise FormatError(
-            f"{path}: {count} meshes of splats with a skin, where one is needed. Bind a scan to a body: "
-            "splatax bind."
-        )
-    animated = load_animated(path)
+    with structured(path, ".glb"):
+        file = glb_scene.read(path)
+        if (count := _skinned_splats(file)) != 1:
+            raise FormatError(
+                f"{path}: {count} meshes of splats with a skin, where one is needed. Bind a scan to a body: "
+                "splatax bind."
+            )
+        animated = animated_in(file, scene_in(file))
     ((name, rig),) = animated.rigs.items()
     part = animated.scene[name]
     gaussians = part.gaussians if part.color is None else part.color.transform(part.gaussians)
     return RiggedScene(gaussians, rig, animated.clips)
 
 
-def _skinned_splats(path: Path) -> int:
+def _skinned_splats(file: Glb) -> int:
     """Returns the number of meshes of splats in the scene of a file that have a skin."""
-    with structured(path, ".glb"):
-        gltf, _ = glb_scene.chunks(path)
-        primitives = [primitive for mesh in gltf.get("meshes", ()) for primitive in mesh["primitives"]]
-        if not any(glb_scene.EXTENSION in primitive.get("extensions", {}) for primitive in primitives):
-            return 0
-        return sum(at.skin is not None for at in glb_scene.splats(path, gltf))
+    primitives = [primitive for mesh in file.gltf.get("meshes", ()) for primitive in mesh["primitives"]]
+    if not any(glb_scene.EXTENSION in primitive.get("extensions", {}) for primitive in primitives):
+        return 0
+    return sum(at.skin is not None for at in glb_scene.splats(file))

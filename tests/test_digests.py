@@ -1,0 +1,19 @@
+"""Digests of arrays and files."""
+
+from dataclasses import replace
+
+from scenes import random_gaussians
+from splatax.digests import contents, digest, file_digest
+from splatax.low_pass import Antialiasing
+
+
+def test_scenes_that_differ_in_their_filter_only_have_different_digests():
+    scene = random_gaussians(n=3)
+    other = replace(scene, low_pass=Antialiasing())
+    assert digest(*contents(scene)) == digest(*contents(replace(scene)))
+    assert digest(*contents(scene)) != digest(*contents(other))
+
+
+def test_a_file_has_the_digest_of_its_bytes(tmp_path):
+    (tmp_path / "file").write_bytes(b"abc")
+    assert file_digest(tmp_path / "file") == digest(b"a", b"bc") == "ba7816bf8f01cfea"  # FIPS 180-2, B.1

@@ -31,6 +31,11 @@ struct Span {
   uint16_t row, first, last;
 };
 
+// Number of tiles of a splat's box.
+inline int box_tiles(const Splat& splat) {
+  return (splat.last_column - splat.first_column + 1) * (splat.last_row - splat.first_row + 1);
+}
+
 // Splats [begin, end) in depth order.
 struct Round {
   int begin, end;
@@ -91,6 +96,7 @@ class Binning {
 
   void order(Workers& workers);
   void divide(int64_t max_pairs);
+  void list_few(const Round& round, Workers& workers);
   // The words of a tile begin here: those of a list that begins anywhere end before the next one's.
   size_t first_word(int number) const { return (static_cast<size_t>(starts_[number]) / CHUNK + number) * BLOCKS; }
 
@@ -107,6 +113,7 @@ class Binning {
   Buffer<int32_t> places_, sorted_places_;
   Histogram histogram_;
   std::vector<std::vector<Span>> spans_;  // spans of each range of splats
+  Buffer<uint64_t> touched_, members_;    // of `list_few`
 };
 
 }  // namespace splatax

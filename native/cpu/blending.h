@@ -102,12 +102,9 @@ void draw_tiles(const Input& input, const Image& image, int size, Workers& worke
         state.blend(input, tile, NoWatch());
       }
       if (round.end < binning.visible) return;
-      each_pixel(input, tile, [&](int b, int lane, size_t pixel) {
-        float* sums = image.sums + pixel * size;
-        for (int c = 0; c < size; ++c) sums[c] = state.sums[c][b][lane];
-        const float T = state.transmittance[b][lane];
-        image.alpha[pixel] = 1 - (T < 0 ? -T : T);
-      });
+      write_pixels(input, tile, image.sums, size, size, [&](int b, int c) { return state.sums[c][b]; });
+      for (auto& block : state.transmittance) store(block, broadcast(1) - absolute(load(block)));
+      write_pixels(input, tile, image.alpha, 1, 1, [&](int b, int) { return state.transmittance[b]; });
     });
   });
   if (keeps) binning.keep_seen();

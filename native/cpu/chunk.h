@@ -115,16 +115,19 @@ struct Effect {
   Mask seen, drawn, alive;          // where it counts; of these, where it is drawn; where later splats may be
 
  protected:
-  // From log2 of its raw alpha.
+  // From log2 of its raw alpha. Pixels wait for the transmittance before, so little is done with it: where nothing is seen,
+  // an alpha of 0 leaves it as it is, so an unfinished pixel stays one, without a test of its own.
   SPLATAX_INLINE void blend(Lanes exponent, Lanes transmittance, Mask alive_before) {
-    seen = (broadcast(LOG2_MIN_ALPHA) <= exponent) & alive_before;
+    const Mask visible = broadcast(LOG2_MIN_ALPHA) <= exponent;
     raw = exp2(exponent);
     alpha = min(raw, broadcast(MAX_ALPHA));
-    const Lanes left = multiply_subtract_from(alpha, transmittance, transmittance);
-    drawn = seen & (broadcast(MIN_TRANSMITTANCE) <= left);
-    alive = and_not(alive_before, and_not(seen, drawn));
-    weight = or_zero(drawn, alpha * transmittance);
-    after = where(drawn, left, transmittance);
+    const Lanes shown = or_zero(visible, alpha);
+    const Lanes left = multiply_subtract_from(shown, transmittance, transmittance);
+    seen = visible & alive_before;
+    alive = (broadcast(MIN_TRANSMITTANCE) <= left) & alive_before;
+    drawn = visible & alive;
+    weight = or_zero(alive, shown * transmittance);
+    after = where(alive, left, transmittance);
   }
 };
 

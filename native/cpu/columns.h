@@ -143,15 +143,21 @@ class Columns {
   }
 
   SPLATAX_INLINE void read(const float* rows, int width, int count) {
+    if (count == LANES) {
+      each_four(width, [&](int k, int columns) {
+        read_columns([&](int lane) { return rows + lane * width + k; }, columns, [&](int c) { return values_[k + c]; });
+      });
+      return;
+    }
     const float* at[LANES];
-    for (int lane = 0; lane < LANES; ++lane) at[lane] = rows + std::min(lane, count - 1) * width;
+    for (int lane = 0; lane < LANES; ++lane) at[lane] = place(rows, std::min(lane, count - 1), width);
     read_at(at, width);
   }
 
   // Reads rows of an array by their numbers.
   SPLATAX_INLINE void read(const float* array, int width, const int32_t* numbers, int count) {
     const float* at[LANES];
-    for (int lane = 0; lane < LANES; ++lane) at[lane] = array + numbers[std::min(lane, count - 1)] * static_cast<size_t>(width);
+    for (int lane = 0; lane < LANES; ++lane) at[lane] = place(array, numbers[std::min(lane, count - 1)], width);
     read_at(at, width);
   }
 
@@ -169,6 +175,13 @@ class Columns {
   }
 
  private:
+  // The first number of a row. Compilers would compute sixteen places in vector registers, and take them out one by one.
+  static SPLATAX_INLINE const float* place(const float* rows, int row, int width) {
+    const float* at = rows + row * static_cast<size_t>(width);
+    asm("" : "+r"(at));
+    return at;
+  }
+
   SPLATAX_INLINE void read_at(const float* const (&at)[LANES], int width) {
     each_four(width, [&](int k, int columns) {
       read_columns([&](int lane) { return at[lane] + k; }, columns, [&](int c) { return values_[k + c]; });

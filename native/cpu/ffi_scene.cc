@@ -7,16 +7,17 @@ namespace {
 
 SceneMemories memories;
 
-// Arrays of a scene, with the cameras of the batch.
+// Arrays of a scene, with the cameras of the batch and what each of them fills of its image.
 struct ViewsArrays {
   FieldArrays<FloatArray> scene;
-  FloatArray& cameras;
+  FloatArray &cameras, &frames;
 
   // Checks them against each other; returns the numbers of Gaussians, SH coefficients and views.
   std::array<int64_t, 3> check(Checks& checks) const {
     const auto [n, k] = check_scene(checks, scene);
     const auto [v, fields] = checks.sizes<2>("cameras", cameras);
     checks.range("the number of views", v, 0, MOST_ROWS).shape("cameras", cameras, {v, CAMERA_FIELDS});
+    checks.shape("frames", frames, {v, 2});
     return {n, k, v};
   }
 };
@@ -47,15 +48,17 @@ SceneViews views_of(const ViewsArrays& arrays, const std::array<int64_t, 3>& siz
   const Gaussians gaussians{means.typed_data(),          quats.typed_data(), log_scales.typed_data(),
                             opacity_logits.typed_data(), sh.typed_data(),    static_cast<int>(n),
                             static_cast<int>(k)};
-  const View settings{nullptr,          LensKind::PINHOLE,  static_cast<int>(w),   static_cast<int>(h),
-                      options.variance, options.fades != 0, options.least_fade};
-  return {gaussians, arrays.cameras.typed_data(), settings, static_cast<int>(v), static_cast<int>(c), options.max_pairs};
+  const View settings{nullptr, LensKind::PINHOLE, 0, 0, options.variance, options.fades != 0, options.least_fade};
+  return {gaussians,           arrays.cameras.typed_data(), arrays.frames.typed_data(), settings,
+          static_cast<int>(w), static_cast<int>(h),         static_cast<int>(v),        static_cast<int>(c),
+          options.max_pairs};
 }
 
 ffi::Error scene_forward(ffi::ThreadPool threads, FloatArray means, FloatArray quats, FloatArray log_scales,
-                         FloatArray opacity_logits, FloatArray sh, FloatArray cameras, FloatResult sums, FloatResult alpha,
-                         int64_t thread_limit, int64_t max_pairs, float variance, int64_t fades, float least_fade) {
-  const ViewsArrays arrays{{means, quats, log_scales, opacity_logits, sh}, cameras};
+                         FloatArray opacity_logits, FloatArray sh, FloatArray cameras, FloatArray frames, FloatResult sums,
+                         FloatResult alpha, int64_t thread_limit, int64_t max_pairs, float variance, int64_t fades,
+                         float least_fade) {
+  const ViewsArrays arrays{{means, quats, log_scales, opacity_logits, sh}, cameras, frames};
   Checks checks;
   const auto scene = arrays.check(checks);
   const auto image = check_images(checks, scene[2], checks.sizes<4>("sums", sums), max_pairs);
@@ -71,11 +74,11 @@ ffi::Error scene_forward(ffi::ThreadPool threads, FloatArray means, FloatArray q
 }
 
 ffi::Error scene_backward(ffi::ThreadPool threads, FloatArray means, FloatArray quats, FloatArray log_scales,
-                          FloatArray opacity_logits, FloatArray sh, FloatArray cameras, FloatArray sums, FloatArray alpha,
-                          FloatArray d_sums, FloatArray d_alpha, FloatResult d_means, FloatResult d_quats,
+                          FloatArray opacity_logits, FloatArray sh, FloatArray cameras, FloatArray frames, FloatArray sums,
+                          FloatArray alpha, FloatArray d_sums, FloatArray d_alpha, FloatResult d_means, FloatResult d_quats,
                           FloatResult d_log_scales, FloatResult d_opacity_logits, FloatResult d_sh, FloatResult d_cameras,
                           int64_t thread_limit, int64_t max_pairs, float variance, int64_t fades, float least_fade) {
-  const ViewsArrays arrays{{means, quats, log_scales, opacity_logits, sh}, cameras};
+  const ViewsArrays arrays{{means, quats, log_scales, opacity_logits, sh}, cameras, frames};
   Checks checks;
   const auto scene = arrays.check(checks);
   const auto image = check_images(checks, scene[2], checks.sizes<4>("sums", sums), max_pairs);
@@ -115,11 +118,11 @@ auto with_options(Binding binding) {
 
 using namespace splatax;
 
-// (means [n 3], quats [n 4], log_scales [n 3], opacity_logits [n], sh [n k 3], cameras [v] as CameraField)
+// (means [n 3], quats [n 4], log_scales [n 3], opacity_logits [n], sh [n k 3], cameras [v] as CameraField, frames [v 2])
 // -> (sums [v h w 3], or [v h w 4] with depths, alpha [v h w])
-XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_scene_forward, scene_forward, with_options(results<2>(arrays<6>(call()))));
+XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_scene_forward, scene_forward, with_options(results<2>(arrays<7>(call()))));
 
-// (the same six, sums, alpha, d_sums, d_alpha) -> the gradients of the six
-XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_scene_backward, scene_backward, with_options(results<6>(arrays<10>(call()))));
+// (the same seven, sums, alpha, d_sums, d_alpha) -> the gradients of all but frames
+XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_scene_backward, scene_backward, with_options(results<6>(arrays<11>(call()))));
 
 #pragma GCC visibility pop

@@ -20,7 +20,7 @@ struct Settings {
     return checks.failed() ? 0 : camera_fields(static_cast<LensKind>(lens));
   }
   View view(const float* camera) const {
-    return {camera,   static_cast<LensKind>(lens), static_cast<int>(width), static_cast<int>(height),
+    return {camera,   static_cast<LensKind>(lens), static_cast<float>(width), static_cast<float>(height),
             variance, fades != 0,                  least_fade};
   }
 };

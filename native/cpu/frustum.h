@@ -29,7 +29,7 @@ class Frustum {
   }
 
  private:
-  SPLATAX_INLINE Mask outside(Lanes slope, Lanes inverse_z, float focal, float centre, int size, Lanes reach,
+  SPLATAX_INLINE Mask outside(Lanes slope, Lanes inverse_z, float focal, float centre, float size, Lanes reach,
                               Lanes spread) const {
     const Lanes f = broadcast(focal), c = broadcast(centre), k = f * inverse_z;
     const Lanes tilt = clipped(slope, c, f, size).value, middle = multiply_add(f, slope, c);

@@ -33,9 +33,6 @@ struct Lanes {
 struct Mask {
   __mmask16 m;
 };
-struct Scaled {
-  Lanes number, exponent;  // number 2^exponent, with a number in [sqrt(1/2), sqrt(2))
-};
 
 SPLATAX_INLINE Lanes broadcast(float x) { return {_mm512_set1_ps(x)}; }
 SPLATAX_INLINE Lanes load(const float* from) { return {_mm512_loadu_ps(from)}; }
@@ -67,13 +64,6 @@ SPLATAX_INLINE Lanes reciprocal(Lanes x) {
 SPLATAX_INLINE Lanes round(Lanes x) { return {_mm512_roundscale_ps(x.v, _MM_FROUND_TO_NEAREST_INT)}; }
 SPLATAX_INLINE Lanes times_power_of_two(Lanes x, Lanes integer) { return {_mm512_scalef_ps(x.v, integer.v)}; }
 
-SPLATAX_INLINE Scaled scaled(Lanes x) {
-  const __m512i bits = _mm512_castps_si512(x.v);
-  const __m512i exponent = _mm512_srai_epi32(_mm512_sub_epi32(bits, _mm512_set1_epi32(static_cast<int>(ROOT_HALF))), MANTISSA);
-  const __m512i number = _mm512_sub_epi32(bits, _mm512_slli_epi32(exponent, MANTISSA));
-  return {{_mm512_castsi512_ps(number)}, {_mm512_cvtepi32_ps(exponent)}};
-}
-
 #else
 
 #if defined(__AVX2__)
@@ -91,9 +81,6 @@ struct Lanes {
 };
 struct Mask {
   Ints m[PARTS];
-};
-struct Scaled {
-  Lanes number, exponent;  // number 2^exponent, with a number in [sqrt(1/2), sqrt(2))
 };
 
 // Calls operation(part) for each native vector; unrolled, because PARTS is a constant.
@@ -179,8 +166,23 @@ SPLATAX_INLINE Lanes times_power_of_two(Lanes x, Lanes integer) {
                                                 (__builtin_convertvector(integer.v[k], Ints) << MANTISSA)));
 }
 
-SPLATAX_INLINE Scaled scaled(Lanes x) {
-  Scaled result;
+#endif
+
+// A number in [sqrt(1/2), sqrt(2)), times 2^exponent.
+struct Decomposed {
+  Lanes number, exponent;
+};
+
+#if defined(__AVX512F__)
+SPLATAX_INLINE Decomposed decomposed(Lanes x) {
+  const __m512i bits = _mm512_castps_si512(x.v);
+  const __m512i exponent = _mm512_srai_epi32(_mm512_sub_epi32(bits, _mm512_set1_epi32(static_cast<int>(ROOT_HALF))), MANTISSA);
+  const __m512i number = _mm512_sub_epi32(bits, _mm512_slli_epi32(exponent, MANTISSA));
+  return {{_mm512_castsi512_ps(number)}, {_mm512_cvtepi32_ps(exponent)}};
+}
+#else
+SPLATAX_INLINE Decomposed decomposed(Lanes x) {
+  Decomposed result;
 #pragma GCC unroll 4
   for (int k = 0; k < PARTS; ++k) {
     const Words bits = reinterpret_cast<Words>(x.v[k]);
@@ -190,7 +192,6 @@ SPLATAX_INLINE Scaled scaled(Lanes x) {
   }
   return result;
 }
-
 #endif
 
 SPLATAX_INLINE Lanes operator-(Lanes a) { return broadcast(0) - a; }

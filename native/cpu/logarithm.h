@@ -26,7 +26,7 @@ SPLATAX_INLINE Number log_near_one(Number f) {
 
 // log2(x) for normal x > 0, to 2e-7 of its value or of 1, whichever is larger; anything for other x.
 SPLATAX_INLINE Lanes log2(Lanes x) {
-  const Scaled parts = scaled(x);
+  const Decomposed parts = decomposed(x);
   return multiply_add(broadcast(LOG2_E), log_near_one(parts.number - 1.0f), parts.exponent);
 }
 

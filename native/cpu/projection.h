@@ -32,7 +32,7 @@ int camera_fields(LensKind lens);
 struct View {
   const float* camera;  // [camera_fields(lens)]; rotation row by row
   LensKind lens;
-  int width, height;
+  float width, height;  // pixels; of its frame, if the view fills only a part of the image
   float variance;    // variance of the low-pass filter, pixels^2
   bool fades;        // true if the low-pass filter multiplies opacity by a factor,
   float least_fade;  // which is at least this

@@ -6,7 +6,7 @@
 namespace splatax {
 
 // Slope in the Jacobian, clipped to the image and a margin around it.
-SPLATAX_INLINE Clipped clipped(Lanes slope, Lanes centre, Lanes focal, int size) {
+SPLATAX_INLINE Clipped clipped(Lanes slope, Lanes centre, Lanes focal, float size) {
   const Lanes margin = broadcast(FRUSTUM_MARGIN * 0.5f * size);
   return {slope, -(centre + margin) / focal, (broadcast(size) - centre + margin) / focal};
 }

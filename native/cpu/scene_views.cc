@@ -24,7 +24,7 @@ Input input_of(const SceneViews& scene, Visible& visible) {
   }
   return {visible.means2d.get(),   visible.sqrt_conics.get(), visible.depths.get(),  visible.extents.get(),
           visible.opacities.get(), channels,                  visible.count,         scene.channel_count,
-          scene.settings.width,    scene.settings.height};
+          scene.width,             scene.height};
 }
 
 // Keeps the gradients of splats that are not all zero, without gaps, and with depths by themselves.

@@ -14,19 +14,23 @@ namespace splatax {
 struct SceneViews {
   Gaussians gaussians;
   const float* cameras;  // [views CAMERA_FIELDS]
-  View settings;         // of all views; its camera is not used
+  const float* frames;   // [views 2]: width and height of what each view fills of its image, pixels
+  View settings;         // of all views; its camera and its size are not used
+  int width, height;     // of the images, pixels
   int views, channel_count;
   int64_t max_pairs;
 
   View view(int number) const {
     View result = settings;
     result.camera = cameras + static_cast<size_t>(number) * CAMERA_FIELDS;
+    result.width = frames[2 * static_cast<size_t>(number)];
+    result.height = frames[2 * static_cast<size_t>(number) + 1];
     return result;
   }
-  size_t pixels() const { return static_cast<size_t>(settings.width) * settings.height; }
+  size_t pixels() const { return static_cast<size_t>(width) * height; }
 };
 
-constexpr int VIEWS_TOGETHER = 4;
+constexpr int VIEWS_TOGETHER = 8;
 
 // Memory of a call, which is kept for the next one.
 struct SceneMemory {

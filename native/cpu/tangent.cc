@@ -13,6 +13,15 @@ constexpr int DIRECTIONS_AT_ONCE = 3;  // whose sums stay in registers together
 constexpr int DIRECTIONS_AT_ONCE = 1;
 #endif
 constexpr int SHAPE = 6;  // numbers of the tangent of a splat's exponent
+constexpr float UNSCALED = 1 / ROOT_HALF_LOG2_E;  // of t and s, which `Blend` scales
+
+// Keeps numbers in a register. Compilers would read them from memory again for each direction, and loads are the bottleneck.
+SPLATAX_INLINE Lanes held(Lanes a) {
+#if defined(__AVX512F__)
+  asm("" : "+v"(a.v));
+#endif
+  return a;
+}
 
 // Directions of one walk, for one part of the channels.
 struct Directions {
@@ -27,9 +36,9 @@ struct Directions {
 // What a walk needs of each splat, in the order of the input: channels, then shape and channels of each direction. One
 // walk reads the rows of a splat at many places; rows of the arrays of all directions would be as many cache misses.
 //
-// With t = u dx + v dy, s = w dy and alpha = o exp(-(t^2 + s^2) / 2), the shape has the factors of dalpha / alpha,
+// With t = u dx + v dy, s = w dy and alpha = o exp(-(t^2 + s^2) / 2), the shape has the numbers by which dalpha / alpha is
 //
-//   do / o - du t dx - dv t dy - dw s dy - t (-u dmx - v dmy) - s (-w dmy) .
+//   do / o + t (u dmx + v dmy - du dx - dv dy) + s (w dmy - dw dy) .
 class Rows {
  public:
   Rows(const Input& input, const Directions& directions, Workers& workers, Buffer<float>& memory)
@@ -58,11 +67,11 @@ class Rows {
       const Direction2d& along = directions.of[k];
       const float *d_root = along.sqrt_conics + 3 * row, *d_mean = along.means2d + 2 * row;
       const float shape[SHAPE] = {along.opacities[row] / input.opacities[row],
-                                  -d_root[0],
-                                  -d_root[1],
-                                  -d_root[2],
-                                  root[0] * d_mean[0] + root[1] * d_mean[1],
-                                  root[2] * d_mean[1]};
+                                  -UNSCALED * d_root[0],
+                                  -UNSCALED * d_root[1],
+                                  -UNSCALED * d_root[2],
+                                  UNSCALED * (root[0] * d_mean[0] + root[1] * d_mean[1]),
+                                  UNSCALED * (root[2] * d_mean[1])};
       to = copy(input, directions.part, along.channels, row, std::copy_n(shape, SHAPE, to));
     }
   }
@@ -82,8 +91,9 @@ struct Steps {
   const float* rows[CHUNK];  // of `Rows`
   int count = 0;
   alignas(64) float weight[CHUNK][LANES];        // T alpha
-  alignas(64) float odds[CHUNK][LANES];          // alpha / (1 - alpha), or 0 where alpha does not depend on the splat
-  alignas(64) float factors[CHUNK][SHAPE][LANES];  // of the formula above, or 0 there
+  alignas(64) float odds[CHUNK][LANES];          // alpha / (1 - alpha)
+  alignas(64) float dx[CHUNK][LANES], dy[CHUNK][LANES], t[CHUNK][LANES], s[CHUNK][LANES];  // as in `Blend`
+  Mask flexible[CHUNK];                          // where alpha depends on the splat
 };
 
 // Derivatives of a tile's image along up to K directions, by up to W channels.
@@ -128,19 +138,19 @@ struct TileTangent {
   bool weigh(const Chunk& chunk, const float* const* rows, uint64_t touching, int b, const Tile& tile, Steps& list) {
     const PixelCentres centres;
     const Lanes x = centres.x + broadcast(tile.left + block_left(b)), y = centres.y + broadcast(tile.top + block_top(b));
-    const Lanes before = load(transmittance[b]), scale = broadcast(1 / ROOT_HALF_LOG2_E);
+    const Lanes before = load(transmittance[b]);
     Mask alive = broadcast(0) <= before;
     Lanes T = max(before, broadcast(0) - before);
     for (; touching; touching &= touching - 1) {
       const int i = __builtin_ctzll(touching), j = list.count;
       const Blend step(chunk, i, x, y, T, alive);
-      const Mask flexible = step.drawn & (step.raw <= broadcast(MAX_ALPHA));
-      const Lanes dx = x - broadcast(chunk.x[i]), dy = y - broadcast(chunk.y[i]);
-      const Lanes t = or_zero(flexible, step.t * scale), s = or_zero(flexible, step.s * scale);
-      const Lanes factors[SHAPE] = {or_zero(flexible, broadcast(1)), t * dx, t * dy, s * dy, t, s};
-      for (int m = 0; m < SHAPE; ++m) store(list.factors[j][m], factors[m]);
+      list.flexible[j] = step.drawn & (step.raw <= broadcast(MAX_ALPHA));
+      store(list.dx[j], x - broadcast(chunk.x[i]));
+      store(list.dy[j], y - broadcast(chunk.y[i]));
+      store(list.t[j], step.t);
+      store(list.s[j], step.s);
       store(list.weight[j], step.weight);
-      store(list.odds[j], or_zero(flexible, step.alpha * reciprocal(broadcast(1) - step.alpha)));
+      store(list.odds[j], step.alpha * reciprocal(broadcast(1) - step.alpha));
       list.rows[j] = rows[i];
       list.count += any(step.drawn);
       T = step.after;
@@ -154,45 +164,48 @@ struct TileTangent {
   // Adds the derivatives along D directions from k on.
   template <int D>
   void push(const Rows& rows, const Steps& list, int b, int k, const Directions& directions) {
-    alignas(64) float d_weights[D][CHUNK][LANES];  // for further channels
-    if (directions.channels() == 3) return add<D, 3, true>(rows, list, b, k, 0, d_weights);
-    add<D, GROUP, true>(rows, list, b, k, 0, d_weights);
-    for (int c = GROUP; c < directions.part.size; c += GROUP) add<D, GROUP, false>(rows, list, b, k, c, d_weights);
+    alignas(64) float rates[D][CHUNK][LANES];  // for further channels
+    if (directions.channels() == 3) return add<D, 3, true>(rows, list, b, k, 0, rates);
+    add<D, GROUP, true>(rows, list, b, k, 0, rates);
+    for (int c = GROUP; c < directions.part.size; c += GROUP) add<D, GROUP, false>(rows, list, b, k, c, rates);
   }
 
-  // Adds C channels, and if they are the first ones, finds the derivatives of the weights: of a weight T alpha,
-  // T alpha (dT / T + dalpha / alpha).
+  // Adds C channels, and if they are the first ones, finds the relative derivatives of the weights: of T alpha,
+  // dT / T + dalpha / alpha.
   template <int D, int C, bool FIRST>
-  SPLATAX_INLINE void add(const Rows& rows, const Steps& list, int b, int k, int first, float (*d_weights)[CHUNK][LANES]) {
+  SPLATAX_INLINE void add(const Rows& rows, const Steps& list, int b, int k, int first, float (*rates)[CHUNK][LANES]) {
     Lanes log_T[D], sum[D][C];
     for (int d = 0; d < D; ++d) {
       log_T[d] = load(logs[b][k + d]);
       for (int c = 0; c < C; ++c) sum[d][c] = load(sums[b][k + d][first + c]);
     }
     for (int j = 0; j < list.count; ++j) {
-      const Lanes weight = load(list.weight[j]), odds = load(list.odds[j]);
-      Lanes factors[SHAPE];
-      for (int m = 0; m < SHAPE; ++m) factors[m] = load(list.factors[j][m]);
+      const Lanes weight = held(load(list.weight[j])), odds = held(load(list.odds[j]));
+      const Lanes dx = held(load(list.dx[j])), dy = held(load(list.dy[j]));
+      const Lanes t = held(load(list.t[j])), s = held(load(list.s[j]));
+      const Mask flexible = list.flexible[j];
       const float* channels = list.rows[j];
+      Lanes own[C];
+      for (int c = 0; c < C; ++c) own[c] = held(broadcast(channels[first + c]));
 #pragma GCC unroll 3
       for (int d = 0; d < D; ++d) {
         const float* shape = rows.shape(channels, k + d);
-        Lanes d_weight;
+        Lanes rate;
         if constexpr (FIRST) {
-          Lanes log_alpha = factors[0] * broadcast(shape[0]);
-#pragma GCC unroll 6
-          for (int m = 1; m < SHAPE; ++m) log_alpha = multiply_add(factors[m], broadcast(shape[m]), log_alpha);
-          d_weight = weight * (log_T[d] + log_alpha);
+          const Lanes across = multiply_add(dx, broadcast(shape[1]), multiply_add(dy, broadcast(shape[2]), broadcast(shape[4])));
+          const Lanes down = multiply_add(dy, broadcast(shape[3]), broadcast(shape[5]));
+          const Lanes log_alpha = or_zero(flexible, multiply_add(t, across, multiply_add(s, down, broadcast(shape[0]))));
+          rate = log_T[d] + log_alpha;
           log_T[d] = multiply_subtract_from(odds, log_alpha, log_T[d]);
-          if constexpr (W > GROUP) store(d_weights[d][j], d_weight);
+          if constexpr (W > GROUP) store(rates[d][j], rate);
         } else {
-          d_weight = load(d_weights[d][j]);
+          rate = load(rates[d][j]);
         }
         const float* moving = shape + SHAPE + first;
 #pragma GCC unroll 4
         for (int c = 0; c < C; ++c) {
-          sum[d][c] =
-              multiply_add(d_weight, broadcast(channels[first + c]), multiply_add(weight, broadcast(moving[c]), sum[d][c]));
+          const Lanes d_channel = multiply_add(rate, own[c], broadcast(moving[c]));
+          sum[d][c] = multiply_add(weight, d_channel, sum[d][c]);
         }
       }
     }
@@ -215,12 +228,15 @@ void push_part(const Input& input, const Directions& directions, Workers& worker
       if (round.end < scratch.binning.visible) return;
       for (int k = 0; k < directions.count; ++k) {
         const Direction2d to = directions.of[k];
-        const size_t stride = input.channel_count, first = part.first, size = part.size;
-        each_pixel(input, tile, [&, to, stride, first, size](int b, int lane, size_t pixel) {
-          float* sums = to.sums + pixel * stride + first;
-          for (size_t c = 0; c < size; ++c) sums[c] = state.sums[b][k][c][lane];
-          if (first == 0) to.alpha[pixel] = -std::abs(state.transmittance[b][lane]) * state.logs[b][k][lane];  // 1 - T
-        });
+        write_pixels(input, tile, to.sums + part.first, input.channel_count, part.size,
+                     [&](int b, int c) { return state.sums[b][k][c]; });
+        if (part.first > 0) continue;
+        alignas(64) float alphas[BLOCKS][LANES];  // 1 - T
+        for (int b = 0; b < BLOCKS; ++b) {
+          const Lanes T = absolute(load(state.transmittance[b]));
+          store(alphas[b], -(T * load(state.logs[b][k])));
+        }
+        write_pixels(input, tile, to.alpha, 1, 1, [&](int b, int) { return alphas[b]; });
       }
     });
   });

@@ -55,6 +55,30 @@ void each_pixel(const Input& input, const Tile& tile, const Visit& visit) {
   }
 }
 
+// Writes `count` channels of a tile's pixels to an image with `stride` numbers a pixel. channel(b, c) is where those of
+// block b begin, lane by lane.
+template <class Channel>
+void write_pixels(const Input& input, const Tile& tile, float* image, size_t stride, int count, const Channel& channel) {
+  if (tile.left + TILE > input.width || tile.top + TILE > input.height) {
+    each_pixel(input, tile, [&](int b, int lane, size_t pixel) {
+      for (int c = 0; c < count; ++c) image[pixel * stride + c] = channel(b, c)[lane];
+    });
+    return;
+  }
+  const size_t line = input.width * stride;
+  for (int b = 0; b < BLOCKS; ++b) {
+    float* corner = image + (tile.top + block_top(b)) * line + (tile.left + block_left(b)) * stride;
+    if (stride == 1 && count == 1) {
+      for (int row = 0; row < BLOCK; ++row) std::copy_n(channel(b, 0) + row * BLOCK, BLOCK, corner + row * line);
+      continue;
+    }
+    for (int c = 0; c < count; c += GROUP) {
+      write_columns([&](int k) { return channel(b, c + k); }, std::min(GROUP, count - c),
+                    [&](int lane) { return corner + lane / BLOCK * line + lane % BLOCK * stride + c; });
+    }
+  }
+}
+
 // Transmittance before the first splat: 1, negated outside the image, where nothing is drawn.
 inline void let_light_through(const Input& input, const Tile& tile, float (*transmittance)[LANES]) {
   for (int b = 0; b < BLOCKS; ++b) std::fill_n(transmittance[b], LANES, -1.0f);

@@ -72,7 +72,8 @@ inline void prefetch(const Gaussians& from, const int32_t* rows, int count) {
     __builtin_prefetch(from.log_scales + 3 * row);
     __builtin_prefetch(from.opacity_logits + row);
     const float* sh = from.sh + numbers * row;
-    for (size_t k = 0; k < numbers + LINE - 1; k += LINE) __builtin_prefetch(sh + k);
+    for (size_t k = 0; k < numbers; k += LINE) __builtin_prefetch(sh + k);
+    __builtin_prefetch(sh + numbers - 1);  // rows may begin inside a line
   }
 }
 

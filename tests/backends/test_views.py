@@ -94,6 +94,47 @@ def test_the_gradient_of_a_batch_is_the_sum_of_those_of_its_views():
     assert_close(found, jax.grad(summed, (0, 1))(SCENE, STACKED), 1e-4)
 
 
+SIZES = [(37, 21), (40, 24), (25, 17), (1, 24), (16, 16)]
+ON_CANVAS = [
+    camera_at(position=place, target=(0.4, 0.1, 0.6), size=size, focal=20.0).on_canvas(40, 24)
+    for place, size in zip(PLACES, SIZES, strict=True)
+]
+STACKED_ON_CANVAS = jax.tree.map(lambda *leaves: jnp.stack(leaves), *ON_CANVAS)
+
+
+def loss_in_frame(scene, camera):
+    """A loss of the pixels that are defined."""
+    rgb, alpha, depth = one(scene, camera)
+    y, x = jnp.mgrid[: camera.height, : camera.width].astype(jnp.float32)
+    inside = (x < camera.frame[0]) & (y < camera.frame[1])
+    return jnp.sum(jnp.where(inside, jnp.sum(jnp.square(rgb), axis=-1) + alpha + 0.1 * depth, 0))
+
+
+def test_a_batch_of_cameras_on_a_canvas_is_the_cameras_one_by_one(symbols):
+    together = jax.vmap(lambda camera: one(SCENE, camera))(STACKED_ON_CANVAS)
+    assert symbols == ["scene_forward"]
+    for i, (camera, (width, height)) in enumerate(zip(ON_CANVAS, SIZES, strict=True)):
+        for batch, single in zip(together, one(SCENE, camera), strict=True):
+            expected = single[:height, :width]
+            tolerance = 2e-6 * max(float(np.abs(expected).max()), 1)
+            assert_allclose(batch[i, :height, :width], expected, atol=tolerance)
+
+
+def test_the_gradient_of_a_batch_on_a_canvas_is_the_sum_of_those_of_its_cameras():
+    def total(scene, cameras):
+        return jnp.sum(jax.vmap(loss_in_frame, (None, 0))(scene, cameras))
+
+    def looped(scene, cameras):
+        views = [jax.tree.map(lambda leaf, i=i: leaf[i], cameras) for i in range(len(SIZES))]
+        return sum(loss_in_frame(scene, view) for view in views)
+
+    (d_scene, d_cameras), (expected, each) = (
+        jax.grad(f, (0, 1))(SCENE, STACKED_ON_CANVAS) for f in (total, looped)
+    )
+    assert_close(d_scene, expected, 1e-4)
+    assert_close(replace(d_cameras, frame=None), replace(each, frame=None), 1e-4)
+
+
 @pytest.mark.parametrize("backend", [cpu.kernels(threads=n) for n in (1, 2, 3)])
 def test_a_batch_has_the_same_bits_for_any_number_of_threads(backend):
     expected = jax.value_and_grad(total, (0, 1))(SCENE, STACKED)

@@ -5,7 +5,7 @@ views would take longer to write and to read than to draw, because most Gaussian
 native call projects only the Gaussians that a camera may see, and draws them while they are in the caches.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -45,8 +45,7 @@ class NativeDrawing:
 
     def fits(self, camera: Camera, method: Method) -> bool:
         """Returns whether it draws what such a camera sees."""
-        still = camera.motion is None and camera.frame is None
-        return isinstance(camera.lens, Pinhole) and still and method == EWA
+        return isinstance(camera.lens, Pinhole) and camera.motion is None and method == EWA
 
     def __call__(self, gaussians: Gaussians, camera: Camera, low_pass: LowPass, depths: bool) -> Images:
         """Returns the sums of weighted colours, and of depths if they are asked for, and alpha."""
@@ -99,9 +98,18 @@ class View:
         return jax.vmap(lambda *camera: self.one(*scene, *camera))(*cameras)
 
     def arguments(self, leaves: tuple[Array, ...]) -> tuple[Array, ...]:
-        """Returns the arrays of a native call: those of the scene, and the packed cameras."""
+        """Returns the arrays of a native call that have gradients: those of the scene, and packed cameras."""
         gaussians, cameras = jax.tree.unflatten(self.structure, leaves)
-        return (*(getattr(gaussians, field) for field in FIELDS), jax.vmap(packed)(cameras))
+        # The kernel finds the box of slopes from the frame, as it does for a pinhole without one.
+        return (
+            *(getattr(gaussians, field) for field in FIELDS),
+            jax.vmap(packed)(replace(cameras, frame=None)),
+        )
+
+    def frames(self, leaves: tuple[Array, ...]) -> Float[Array, "v 2"]:
+        """Returns the width and height of what each camera fills of its image, pixels."""
+        _, cameras = jax.tree.unflatten(self.structure, leaves)
+        return jax.vmap(lambda camera: camera.size)(cameras)
 
     def call(
         self, symbol: str, shapes: list[tuple[int, ...]], arrays: tuple[Array, ...]
@@ -127,7 +135,8 @@ def _draw(leaves: tuple[Array, ...], view: View) -> Images:
     arrays = view.arguments(leaves)
     _, camera = jax.tree.unflatten(view.structure, leaves)
     size = (arrays[-1].shape[0], camera.height, camera.width)
-    sums, alpha = view.call("splatax_scene_forward", [(*size, 4 if view.depths else 3), size], arrays)
+    shapes = [(*size, 4 if view.depths else 3), size]
+    sums, alpha = view.call("splatax_scene_forward", shapes, (*arrays, view.frames(leaves)))
     return sums, alpha
 
 
@@ -160,7 +169,8 @@ def _pull_back(residuals, cotangents: tuple[Array, ...], view: View) -> tuple[Ar
     leaves, images = residuals
     arrays = view.arguments(leaves)
     shapes = [array.shape for array in arrays]
-    gradients = view.call("splatax_scene_backward", shapes, (*arrays, *images, *cotangents))
+    inputs = (*arrays, view.frames(leaves), *images, *cotangents)
+    gradients = view.call("splatax_scene_backward", shapes, inputs)
     return jax.vjp(view.arguments, leaves)[1](gradients)[0]
 
 

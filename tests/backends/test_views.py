@@ -135,6 +135,18 @@ def test_the_gradient_of_a_batch_on_a_canvas_is_the_sum_of_those_of_its_cameras(
     assert_close(replace(d_cameras, frame=None), replace(each, frame=None), 1e-4)
 
 
+@pytest.mark.parametrize("size", [jnp.nan, jnp.inf, 1e9, -5.0, 0.0])
+def test_a_frame_that_is_none_leaves_the_other_views_as_they_are(size):
+    frames = STACKED_ON_CANVAS.frame.at[1].set(size)
+    odd = replace(STACKED_ON_CANVAS, frame=frames)
+    expected, images = (
+        jax.vmap(lambda camera: one(SCENE, camera))(cameras) for cameras in (STACKED_ON_CANVAS, odd)
+    )
+    for whole, image in zip(expected, images, strict=True):
+        assert_array_equal(np.delete(image, 1, axis=0), np.delete(whole, 1, axis=0))
+        assert np.isfinite(image).all()
+
+
 @pytest.mark.parametrize("backend", [cpu.kernels(threads=n) for n in (1, 2, 3)])
 def test_a_batch_has_the_same_bits_for_any_number_of_threads(backend):
     expected = jax.value_and_grad(total, (0, 1))(SCENE, STACKED)

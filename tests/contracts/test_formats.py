@@ -15,7 +15,7 @@ import splatax as sx
 from scenes import camera_at, random_gaussians
 from splatax.errors import FormatError
 from splatax.io import formats
-from splatax.io.formats.marks import mark
+from splatax.io.formats.marks import MARKS, MIP
 from splatax.metrics import psnr, to_8bit
 
 WRITTEN = formats.WRITTEN
@@ -144,18 +144,37 @@ def test_one_gaussian_is_a_scene(tmp_path, suffix):
     assert_allclose(sx.load(tmp_path / f"scene{suffix}").means, scene(n=1).means, atol=2e-4)
 
 
-@pytest.mark.parametrize("low_pass", [sx.Dilation(), sx.Antialiasing(), sx.AlongRays()])
+@pytest.mark.parametrize(
+    "low_pass",
+    [
+        sx.Dilation(),
+        sx.Antialiasing(),
+        sx.AlongRays(),
+        sx.Antialiasing(0.1),
+        sx.Dilation(0.0),
+        sx.AlongRays(1.5),
+    ],
+)
 def test_a_scene_is_loaded_with_the_filter_that_it_was_saved_with(tmp_path, suffix, low_pass):
     path, kept = tmp_path / f"scene{suffix}", formats.FORMATS[suffix].KEPT_MARKS
     given = replace(scene(n=3), low_pass=low_pass)
-    if mark(low_pass) in kept or low_pass == sx.Dilation():
+    if kept == MARKS or low_pass in (sx.Dilation(), *([sx.Antialiasing()] if MIP in kept else [])):
         sx.save(path, given)
         assert sx.load(path).low_pass == low_pass
     else:
         with pytest.warns(
-            UserWarning, match="cannot store that the scene was (trained with antialiasing|drawn along rays)"
+            UserWarning,
+            match=r"the scene was (trained with antialiasing|drawn along rays|filtered with \d)",
         ):
             sx.save(path, given)
+
+
+def test_a_variance_that_is_none_is_refused(tmp_path):
+    path = tmp_path / "scene.ply"
+    sx.save(path, replace(scene(n=3), low_pass=sx.Antialiasing(0.1)))
+    path.write_bytes(path.read_bytes().replace(b"variance: 0.1", b"variance: -.1"))
+    with pytest.raises(sx.FormatError, match=r"variance of -\.1"):
+        sx.load(path)
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path, suffix, monkeypatch):

@@ -35,7 +35,7 @@ from splatax.io.formats import (
     splat,
     spz,
 )
-from splatax.io.formats.marks import MARKS, PLAIN, mark, marked
+from splatax.io.formats.marks import DISCS, MARKS, PLAIN, VARIANCE, is_mark, marked, marks_of
 from splatax.io.formats.marks import MIP as MIP
 from splatax.io.formats.untrusted import structured
 from splatax.packages import required_by
@@ -52,6 +52,7 @@ FORMATS: dict[str, ModuleType] = {
     ".ksplat": ksplat,
     ".pt": gsplat_pt,
 }
+FILTERS = {MIP: "trained with antialiasing", DISCS: "drawn along rays (2DGS)"}  # in words, by mark
 READ_ONLY = (sog_folder, ksplat, gsplat_pt)
 WRITTEN = tuple(suffix for suffix, module in FORMATS.items() if module not in READ_ONLY)
 
@@ -113,17 +114,26 @@ def save(path: str | Path, gaussians: Gaussians, *, comments: tuple[str, ...] = 
             options=(f"sh_degree {module.MAX_SH_DEGREE}",),
         )
     written = _written(path, gaussians)
-    own = mark(gaussians.low_pass)
-    lines = (own, *(line for line in comments if line not in MARKS))
+    own = marks_of(gaussians.low_pass)
+    lines = (*own, *(line for line in comments if not is_mark(line)))
     with required_by(f"writing {path}"):
         module.save(path, written, comments=lines, **options)
-    if own != PLAIN and own not in module.KEPT_MARKS:
-        trained = "trained with antialiasing" if own == MIP else "drawn along rays (2DGS)"
+    if lost := [_in_words(line) for line in own if line != PLAIN and not _keeps(module, line)]:
+        trained = " and ".join(lost)
         warnings.warn(
             f"{path}: the format cannot store that the scene was {trained}. Renderers must be told.",
             stacklevel=2,
         )
     return len(written)
+
+
+def _keeps(module: ModuleType, line: str) -> bool:
+    """Returns whether a format keeps a mark. Those that keep all kinds keep all comments."""
+    return line in module.KEPT_MARKS or (line not in MARKS and module.KEPT_MARKS == MARKS)
+
+
+def _in_words(line: str) -> str:
+    return FILTERS.get(line) or f"filtered with {line.removeprefix(VARIANCE)} square pixels"
 
 
 def format_of(path: Path) -> ModuleType:

@@ -10,29 +10,55 @@ from splatax.low_pass import AlongRays, Antialiasing, Dilation, LowPass
 MIP = "SplatRenderMode: mip"  # trained with antialiasing
 PLAIN = "SplatRenderMode: default"
 DISCS = "SplatRenderMode: 2dgs"  # drawn along rays
-MARKS = (MIP, PLAIN, DISCS)
+KINDS: dict[str, type[Dilation] | type[Antialiasing] | type[AlongRays]] = {
+    MIP: Antialiasing,
+    PLAIN: Dilation,
+    DISCS: AlongRays,
+}
+MARKS = tuple(KINDS)
+VARIANCE = "Low-pass variance: "  # before the number, pixels^2
 METRES = "Metres per unit: "  # before the number
 
 
-def mark(low_pass: LowPass) -> str:
-    """Returns the comment that names the filter of a scene."""
+def marks_of(low_pass: LowPass) -> tuple[str, ...]:
+    """Returns the comments that tell the filter of a scene: its kind, and its variance if that is unusual."""
     match low_pass:
         case Antialiasing():
-            return MIP
+            kind = MIP
         case AlongRays():
-            return DISCS
+            kind = DISCS
         case Dilation():
-            return PLAIN
+            kind = PLAIN
+    if low_pass.variance == type(low_pass)().variance:
+        return (kind,)
+    return kind, f"{VARIANCE}{float(low_pass.variance)!r}"
+
+
+def is_mark(line: str) -> bool:
+    """Returns whether a comment tells the filter of a scene."""
+    return line in MARKS or line.startswith(VARIANCE)
 
 
 def marked(gaussians: Gaussians, comments: Iterable[str]) -> Gaussians:
-    """Returns a scene with the filter that the comments of its file name; as it is if they name none."""
-    for line in comments:
-        if line == MIP:
-            return replace(gaussians, low_pass=Antialiasing())
-        if line == DISCS:
-            return replace(gaussians, low_pass=AlongRays())
-    return gaussians
+    """Returns a scene with the filter that the comments of its file tell; as it is if they tell none.
+
+    Raises:
+        ValueError: if the variance is not a number of at least zero.
+    """
+    low_pass = gaussians.low_pass
+    for line in sorted(filter(is_mark, comments), key=lambda line: line not in KINDS):  # kinds come first
+        if line in KINDS:
+            low_pass = KINDS[line]()
+        else:
+            low_pass = replace(low_pass, variance=_variance(line.removeprefix(VARIANCE)))
+    return replace(gaussians, low_pass=low_pass)
+
+
+def _variance(text: str) -> float:
+    variance = float(text)
+    if not 0 <= variance < math.inf:
+        raise ValueError(f"a filter cannot have a variance of {text}")
+    return variance
 
 
 def metres_mark(metres_per_unit: float) -> str:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import splatax as sx
@@ -191,8 +192,13 @@ def test_penalties_that_begin_late_grow_to_their_weights_within_a_tenth_of_the_r
 
     whole = penalty(Surfaces(), 0.0)
     assert whole > 0.1 * 0.02 / 1.4 * 0.99
-    for progress, share in ((0.0, 0), (0.4, 0), (0.45, 0.5), (0.5, 1), (1.0, 1)):
-        assert_allclose(penalty(Surfaces(after=0.4), progress), share * whole, rtol=1e-5)
+    for progress, fraction in ((0.0, 0), (0.4, 0), (0.45, 0.5), (0.5, 1), (1.0, 1)):
+        assert_allclose(penalty(Surfaces(after=0.4), progress), fraction * whole, rtol=1e-5)
+    for progress, fraction in ((0.95, 0), (0.975, 0.5), (1.0, 1)):  # there is less than a tenth left
+        assert_allclose(penalty(Surfaces(after=0.95), progress), fraction * whole, rtol=1e-5, atol=1e-9)
+    for after in (-0.1, 1.0, float("nan")):
+        with pytest.raises(ValueError, match="from 0 to below 1"):
+            Surfaces(after=after)
 
 
 def test_landmarks_of_all_views_have_one_shape():

@@ -20,8 +20,8 @@ from splatax.gaussians import Gaussians
 from splatax.training.fingerprints import fingerprint
 
 COARSER = 4  # times fewer Gaussians than all blocks will have, and not more than one block
-SHORTER = 5  # times fewer steps,
-LEAST_STEPS = 2_000  # but not fewer than this: its errors limit all blocks. Or all steps, if there are fewer
+SHORTER = 5  # times fewer steps
+LEAST_STEPS = 2_000  # of the coarse run, unless the blocks have fewer: its errors limit all blocks
 
 
 @dataclass(frozen=True)

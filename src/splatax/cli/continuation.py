@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from splatax.cli.settings import NAMES, Settings, as_started
-from splatax.cli.starting import NewRun, ResumedRun
-from splatax.cli.train import MAY_CHANGE
+from splatax.cli.starting import MAY_CHANGE, NewRun, ResumedRun
 from splatax.cli.training import train
 from splatax.runs.checkpoints import files
 from splatax.runs.records import understood

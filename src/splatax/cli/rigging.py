@@ -125,7 +125,7 @@ def train_rig(
     subject = loaded(settings)
     dataset, posing = subject.dataset, subject.posing
     recipe = settings.to_recipe(dataset)
-    about = facts_of(settings, recipe, dataset)
+    about = facts_of_rig(settings, recipe, dataset)
     start: tuple[Gaussians, Rig] | RigRun
     start = covering(subject.body, max(settings.most(dataset) // 2, 1), seed=settings.seed)
     if earlier:
@@ -151,7 +151,7 @@ def train_rig(
 
 
 def loaded(settings: RigSettings) -> Subject:
-    """Returns the photos, the body and its poses; prints what is to be known about their files."""
+    """Returns the photos, the body and its poses; prints the notes on their files."""
     body = read_body(settings.skeleton)
     dataset = sx.load_dataset(settings.scene)
     for note in (*body.notes, *dataset.notes):
@@ -161,7 +161,7 @@ def loaded(settings: RigSettings) -> Subject:
     return Subject(dataset, body, posing_of(settings, body, dataset))
 
 
-def facts_of(settings: RigSettings, recipe: Recipe, dataset: Dataset) -> dict[str, Any]:
+def facts_of_rig(settings: RigSettings, recipe: Recipe, dataset: Dataset) -> dict[str, Any]:
     """Returns what a run is made of; see `runs.resume.facts`."""
     about = facts({**asdict(settings), "command": COMMAND}, recipe, dataset)
     about["capture"] |= {"skeleton": file_digest(settings.skeleton)}

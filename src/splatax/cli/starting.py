@@ -1,7 +1,8 @@
 """The ways in which a training run starts: new, resumed from a checkpoint, or repeated.
 
 Each way decides what the settings leave open before the first step. A new run examines its photos and plans
-its steps; a repeated run has its decisions but may have other memory; a resumed run has all of them.
+its steps; a repeated run takes over these decisions; a resumed run takes over everything. Both read the
+memory of this machine again.
 """
 
 from abc import ABC, abstractmethod
@@ -21,6 +22,8 @@ from splatax.runs.planning import Deadline, Room, gigabytes, room_within
 from splatax.runs.resume import Earlier
 from splatax.training.loop import RunState
 from splatax.training.recipes import Recipe
+
+MAY_CHANGE = {"scene", "points", "judged_by", "title", "checkpoint_every", "checkpoint_steps"}  # on resuming
 
 
 @dataclass(frozen=True)
@@ -158,7 +161,7 @@ class ResumedRun(Run):
         return True
 
     def decided(self, dataset: Dataset) -> Decided:
-        """Takes over all decisions; only the memory may be another."""
+        """Takes over all decisions; only the memory for photos follows this machine."""
         settings = with_background(self.settings, dataset)
         return Decided(settings, dataset, memory_for(settings, dataset))
 
@@ -189,6 +192,6 @@ def memory_for(settings: Settings, dataset: Dataset) -> Room:
 def planned_within(
     settings: Settings, dataset: Dataset, room: Room, deadline: Deadline | None = None
 ) -> Decided:
-    """Plans a run; see `planning.planned`."""
+    """Plans a run; see `cli.planning.planned`."""
     settings, dataset, expected = planned(settings, dataset, room, deadline)
     return Decided(settings, dataset, room, expected, deadline)

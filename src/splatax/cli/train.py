@@ -12,7 +12,7 @@ from splatax.cli.hosts import joined
 from splatax.cli.options import flag, given, parsed, shown_as
 from splatax.cli.output import complain, say
 from splatax.cli.settings import NAMES, Settings, as_started
-from splatax.cli.starting import NewRun, RepeatedRun, ResumedRun, Run
+from splatax.cli.starting import MAY_CHANGE, NewRun, RepeatedRun, ResumedRun, Run
 from splatax.cli.train_options import Devices, Limits, Live, Method, Photos, Rerun, Saving
 from splatax.cli.training import train
 from splatax.errors import InputError
@@ -24,7 +24,6 @@ from splatax.runs.records import understood
 from splatax.runs.resume import OTHER, find
 from splatax.training.recipes import PRESETS
 
-MAY_CHANGE = {"scene", "points", "judged_by", "title", "checkpoint_every", "checkpoint_steps"}  # on resuming
 NOT_REPEATED = {"out": None, "overwrite": False, "budget": None}  # a plan is repeated as it was made
 
 

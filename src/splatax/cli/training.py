@@ -1,6 +1,6 @@
 """A training run, from its capture to its results.
 
-Of several processes, process 0 decides about the run and writes its results; the others make
+In a run of several processes, process 0 decides about the run and writes its results; the others make
 its steps with it.
 """
 
@@ -127,7 +127,7 @@ def judge_of(settings: Settings) -> FinishedRun | None:
     """Returns the run whose scores the report quotes, if any.
 
     Raises:
-        InputError: if it is damaged, which is better known before the training.
+        InputError: if it is damaged. This is checked before the training.
     """
     if settings.judged_by is None:
         return None
@@ -188,5 +188,8 @@ def make_steps(session: Session, start: RunState | None, live: Live) -> RunState
 
 
 def interruption() -> AbstractContextManager[Interruption]:
-    """Returns what listens to Ctrl-C. Of several processes none does: all would have to stop at one step."""
+    """Returns a context that listens to Ctrl-C.
+
+    A run of several processes ignores it, because all would have to stop after the same step.
+    """
     return Interruption() if jax.process_count() == 1 else nullcontext(Interruption())

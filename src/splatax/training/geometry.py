@@ -61,7 +61,10 @@ class Surfaces:
         spread_limit: spread to which a larger one tends in the penalty, see `saturated`.
         points_limit: relative error to which a larger one tends in the penalty.
         after: fraction of the run, below 1, before which the penalties are zero. They grow from there to
-            their weights within a tenth of the run.
+            their weights within a tenth of the run, or until its end.
+
+    Raises:
+        ValueError: if `after` is not from 0 to below 1.
     """
 
     spread: float = 0.1
@@ -70,6 +73,12 @@ class Surfaces:
     spread_limit: float = 0.05
     points_limit: float = 0.01
     after: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.after < 1:
+            raise ValueError(
+                f"penalties begin after a fraction of the run from 0 to below 1, not {self.after}"
+            )
 
     @property
     def outputs(self) -> Mapping[str, Output]:
@@ -91,7 +100,7 @@ class Surfaces:
             penalty += self.points * error_at(seen.landmarks, depth, seen.camera, limit=self.points_limit)
         if not self.after:
             return penalty
-        return penalty * jnp.clip((seen.progress - self.after) / GROWTH, 0, 1)
+        return penalty * jnp.clip((seen.progress - self.after) / min(GROWTH, 1 - self.after), 0, 1)
 
 
 def saturated(error: Float[Array, "*shape"], limit: float) -> Float[Array, "*shape"]:

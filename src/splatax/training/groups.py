@@ -69,7 +69,7 @@ class Reader:
     def _sent(self, group: list[int], divisor: int, frames: list[Future[Frame]]) -> Views:
         cameras = [self.photos.camera(index, divisor) for index in group]
         read = [frame.result() for frame in frames]
-        views = _sent(cameras, [self.sources[index] for index in group], read, divisor, self.sharding)
+        views = _on_devices(cameras, [self.sources[index] for index in group], read, divisor, self.sharding)
         if self.landmarks is None:
             return views
         own = self.landmarks[[group[place] for place in self.here]]
@@ -141,7 +141,7 @@ def grouped(kinds: Sequence[Hashable], size: int, seed: int) -> Iterator[list[in
             yield waiting.pop(kinds[index])
 
 
-def _sent(
+def _on_devices(
     cameras: list[Camera], sources: list[Source], frames: list[Frame], divisor: int, sharding: Sharding
 ) -> Views:
     """Sends the views of a step to the devices."""

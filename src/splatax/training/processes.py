@@ -1,7 +1,7 @@
 """The processes of a run that `jax.distributed` has joined: messages, and the check that all agree.
 
 They communicate through the key-value store of `jax.distributed`, not by collective operations on devices,
-which may time out: a process waits for as long as another works, and learns it if another exits.
+which may time out: a process waits for as long as another works, and is told if another exits.
 """
 
 import itertools

@@ -63,7 +63,7 @@ class Stepper(Protocol):
 
 @dataclass(frozen=True)
 class OneView:
-    """Steps on one view, on one device.
+    """Steps on one view. The scene is on one device; photos are sent there for their steps.
 
     Attributes:
         surroundings: fields of `Batch` that are the same in all steps.

@@ -1,7 +1,6 @@
 #include "binning.h"
 
 #include <algorithm>
-#include <cmath>
 #include <cstring>
 #include <numeric>
 

@@ -115,7 +115,7 @@ struct Effect {
   Mask seen, drawn, alive;          // where it counts; of these, where it is drawn; where later splats may be
 
  protected:
-  // From log2 of its raw alpha. Pixels wait for the transmittance before, so little is done with it: where nothing is seen,
+  // From log2 of its raw alpha. Each splat needs the transmittance left by the one before, so few operations depend on it: where nothing is seen,
   // an alpha of 0 leaves it as it is, so an unfinished pixel stays one, without a test of its own.
   SPLATAX_INLINE void blend(Lanes exponent, Lanes transmittance, Mask alive_before) {
     const Mask visible = broadcast(LOG2_MIN_ALPHA) <= exponent;

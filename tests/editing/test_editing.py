@@ -105,7 +105,7 @@ def test_without_cameras_large_and_opaque_ones_matter():
 
 def test_scenes_of_different_filters_are_not_merged():
     plain = random_gaussians(n=5)
-    with pytest.raises(sx.InputError, match="some were trained with antialiasing"):
+    with pytest.raises(sx.InputError, match="trained with different low-pass filters"):
         editing.merge([plain, replace(plain, low_pass=sx.Antialiasing())])
 
 

@@ -22,8 +22,8 @@ class Camera:
     Camera axes are x right, y down, z forward. Pixel coordinates have the image's top left corner
     at (0, 0), so the first pixel's centre is (0.5, 0.5). The lens maps a point in camera axes to the image
     plane at focal length one; pixel = (fx, fy) * place + (cx, cy). All fields except the size are traced:
-    views of one size and kind of lens share one compiled program, and every number can have a gradient. Views
-    of different sizes share one program on a canvas, see `on_canvas`.
+    views of one size and kind of lens share one compiled program, and every number but `frame` can have a
+    gradient. Views of different sizes share one program on a canvas, see `on_canvas`.
 
     Attributes:
         fx, fy: focal lengths, pixels.
@@ -33,7 +33,7 @@ class Camera:
         lens: kind of lens and its coefficients; see `cameras.lenses`.
         motion: None if the whole image is exposed at once.
         frame: width and height of the part of the image, from its top left corner, that the view fills,
-            pixels; None if it fills all of it. What lies beyond is not defined.
+            pixels; None if it fills all of it. What lies beyond is not defined. It has no gradient.
     """
 
     fx: Float[Array, ""]
@@ -86,7 +86,7 @@ class Camera:
         """Width and height of what the view fills of the image, pixels."""
         if self.frame is None:
             return jnp.array([self.width, self.height], self.fx.dtype)
-        return self.frame
+        return jax.lax.stop_gradient(self.frame)
 
     def to_camera(self, point: Float[Array, "3"]) -> Float[Array, "3"]:
         """Returns a world point in camera axes, at the moment when its row of the image is exposed.

@@ -24,8 +24,8 @@ def merge(scenes: Sequence[Gaussians]) -> Gaussians:
     """
     if len({scene.low_pass for scene in scenes}) > 1:
         raise InputError(
-            "The scenes cannot be merged: some were trained with antialiasing, and others without. Train "
-            "them alike."
+            "The scenes cannot be merged: they were trained with different low-pass filters. Train them "
+            "alike."
         )
     return joined(scenes)
 

@@ -18,7 +18,7 @@ from splatax.errors import FormatError
 from splatax.gaussians import Gaussians, broken, rows_of
 from splatax.io.formats import glb, glb_scene
 from splatax.io.formats.glb_scene import ORIGINAL, VISIBILITY, Glb, Placed
-from splatax.io.formats.marks import marked, marks_of
+from splatax.io.formats.marks import is_mark, marked, marks_of
 from splatax.io.formats.untrusted import structured
 from splatax.io.variants import listed, map_of, numbers_of, variants_of
 from splatax.scene import Part, Scene, Variants, chosen
@@ -184,7 +184,8 @@ def written(path: Path, scene: Scene, variants: Variants, comments: tuple[str, .
                 "color": numbers_of(own.color),
             }
     kept = {"variants": listed(variants)} if variants else {}
-    return Written(nodes, meshes, (*marks_of(filters.pop()), *comments), kept)
+    lines = (*marks_of(filters.pop()), *(line for line in comments if not is_mark(line)))
+    return Written(nodes, meshes, lines, kept)
 
 
 def _drawn_parts(path: Path, scene: Scene) -> tuple[list[dict[str, Any]], list[glb.Mesh]]:

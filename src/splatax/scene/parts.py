@@ -159,8 +159,8 @@ class Scene:
             raise ValueError(f"no part of the scene is visible: {', '.join(self.names)} are hidden.")
         if len({part.low_pass for part in shown}) > 1:
             raise ValueError(
-                "the parts cannot be merged: some were trained with antialiasing, and others without. Render "
-                "the scene of parts instead, or train them alike."
+                "the parts cannot be merged: they were trained with different low-pass filters. Render the "
+                "scene of parts instead, or train them alike."
             )
         return clouds.joined(shown)
 

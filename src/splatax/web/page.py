@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import jax
 import jinja2
 import numpy as np
 from jaxtyping import Int
@@ -16,7 +15,7 @@ from jaxtyping import Int
 from splatax.cameras import Camera
 from splatax.cameras.lenses.protocol import NEAR
 from splatax.errors import FormatError, InputError
-from splatax.gaussians import Gaussians, broken
+from splatax.gaussians import Gaussians, broken, rows_of
 from splatax.io import formats
 from splatax.io.files import write_whole
 from splatax.low_pass import AlongRays, Antialiasing, Dilation, LowPass
@@ -187,8 +186,8 @@ def _check(scene: Drawable, name: str) -> LowPass:
         filters.add(gaussians.low_pass)
     if len(filters) > 1:
         raise FormatError(
-            f"{name}: a page has one low-pass filter, and some parts were trained with antialiasing, others "
-            "without. Train them alike."
+            f"{name}: a page has one low-pass filter, and its parts were trained with different ones. Train "
+            "them alike."
         )
     return filters.pop()
 
@@ -227,12 +226,12 @@ def _variances(low_pass: LowPass) -> dict[str, Any]:
 
 def _whole(gaussians: Gaussians) -> Gaussians:
     nearby = _order(gaussians)
-    return jax.tree.map(lambda leaf: leaf[nearby], gaussians)
+    return rows_of(gaussians, nearby)
 
 
 def _spz(gaussians: Gaussians) -> bytes:
-    if isinstance(gaussians.low_pass, AlongRays):  # the page says how it is shown
-        gaussians = replace(gaussians, low_pass=Dilation())
+    usual = Antialiasing() if isinstance(gaussians.low_pass, Antialiasing) else Dilation()
+    gaussians = replace(gaussians, low_pass=usual)  # the page says how it is shown
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "scene.spz"
         formats.save(path, gaussians, buckets=SH_BUCKETS)

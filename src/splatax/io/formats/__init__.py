@@ -18,11 +18,10 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import jax
 import numpy as np
 
 from splatax.errors import FormatError
-from splatax.gaussians import Gaussians, broken, checked
+from splatax.gaussians import Gaussians, broken, checked, rows_of
 from splatax.io.formats import (
     compressed_ply,
     glb,
@@ -169,4 +168,4 @@ def _written(path: Path, gaussians: Gaussians) -> Gaussians:
     if count := int(np.sum(wrong & ~empty)):
         warnings.warn(f"{path}: left out {count:,} Gaussians that are not finite", stacklevel=3)
     keep = ~wrong & ~empty
-    return gaussians if keep.all() else jax.tree.map(lambda leaf: leaf[keep], gaussians)
+    return gaussians if keep.all() else rows_of(gaussians, np.flatnonzero(keep))

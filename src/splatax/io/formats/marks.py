@@ -21,7 +21,7 @@ METRES = "Metres per unit: "  # before the number
 
 
 def marks_of(low_pass: LowPass) -> tuple[str, ...]:
-    """Returns the comments that tell the filter of a scene: its kind, and its variance if that is unusual."""
+    """Returns the comments that tell the filter of a scene: its kind, and its variance if not the default."""
     match low_pass:
         case Antialiasing():
             kind = MIP
@@ -48,7 +48,7 @@ def marked(gaussians: Gaussians, comments: Iterable[str]) -> Gaussians:
     low_pass = gaussians.low_pass
     for line in sorted(filter(is_mark, comments), key=lambda line: line not in KINDS):  # kinds come first
         if line in KINDS:
-            low_pass = KINDS[line]()
+            low_pass = low_pass if line == PLAIN else KINDS[line]()  # PLAIN is also said of discs
         else:
             low_pass = replace(low_pass, variance=_variance(line.removeprefix(VARIANCE)))
     return replace(gaussians, low_pass=low_pass)

@@ -16,13 +16,12 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from splatax.errors import FormatError
-from splatax.gaussians import Gaussians
+from splatax.gaussians import Gaussians, rows_of
 from splatax.io.files import write_whole
 from splatax.io.formats import packing
 from splatax.io.formats.marks import MARKS, MIP
@@ -151,7 +150,7 @@ def save(path: Path, gaussians: Gaussians, *, comments: tuple[str, ...] = ()) ->
     order = morton.order(np.asarray(gaussians.means))
     archive = io.BytesIO()
     with zipfile.ZipFile(archive, "w") as zipped:  # stored, because WebP does not compress further
-        for name, contents in files_of(jax.tree.map(lambda leaf: leaf[order], gaussians), comments).items():
+        for name, contents in files_of(rows_of(gaussians, order), comments).items():
             zipped.writestr(zipfile.ZipInfo(name), contents)
     write_whole(path, archive.getvalue())
 

@@ -78,4 +78,4 @@ def test_the_measured_peak_is_one_that_a_processor_can_have():
     flops = roofline.peak_flops()
     if flops is None:
         pytest.skip("no native library here")
-    assert 1e9 < flops < 1e14
+    assert 1e8 < flops < 1e14  # a build with sanitizers is far from the processor's own peak

@@ -116,7 +116,7 @@ def test_a_batch_of_cameras_on_a_canvas_is_the_cameras_one_by_one(symbols):
     for i, (camera, (width, height)) in enumerate(zip(ON_CANVAS, SIZES, strict=True)):
         for batch, single in zip(together, one(SCENE, camera), strict=True):
             expected = single[:height, :width]
-            tolerance = 2e-6 * max(float(np.abs(expected).max()), 1)
+            tolerance = 4e-6 * max(float(np.abs(expected).max()), 1)  # without AVX-512, 2.4e-6 were seen
             assert_allclose(batch[i, :height, :width], expected, atol=tolerance)
 
 

@@ -35,7 +35,7 @@ from splatax.training.posing import Search, fit_pose
 from splatax.training.rigged import optimize_rig, recipe_for
 from splatax.training.rigged_step import Learned
 
-DATA = Path(os.environ.get("SPLATAX_DATA", Path(__file__).parents[2] / "shared" / "data")) / "rigs"
+DATA = Path(os.environ.get("SPLATAX_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")) / "rigs"
 FREE, STIFF = (0.0, 0.0, 0.0), (0.0, 0.05, 0.05)  # fingers bend about x, and hardly twist or bend sideways
 SIZE = 128
 PICTURE = Path(__file__).parent / "images" / "rigs.jpg"

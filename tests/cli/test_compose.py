@@ -142,30 +142,60 @@ def test_a_page_is_told_everything(car, tmp_path):
     [
         (("move = [1, 0, 0.2]", "moved = [1, 0, 0.2]"), "[parts.front] has 'moved'"),
         (("move = [1, 0, 0.2]", "move = [1, 0]"), "[parts.front] move is [1, 0], not 3 numbers"),
-        (("scale = 0.5", "scale = 0"), "scale > 0"),
+        (("scale = 0.5", "scale = 0"), "[parts.front] scale is 0, not above 0"),
         (('file = "body.ply"', 'file = "hood.ply"'), "hood.ply: no such file"),
-        (('file = "body.ply"', ""), "'file' is missing"),
+        (('file = "body.ply"', ""), "[parts.body] needs 'file', which is missing"),
         (('show = ["front"]', 'show = ["hood"]'), "names part 'hood'"),
         (('part = "front"', 'part = "hood"'), "no part 'hood'"),
         (("tint = [1, 0.5, 0.5]", "tint = [1, 1, 1]\ndye = [1, 1, 1]"), "more than one colour"),
         (('background = "white"', 'background = "sky"'), "background is 'sky', not black, white"),
         (("[start]", "[start"), "not a TOML file"),
-        (("seconds = 5", "seconds = nan"), "[path] seconds is nan, not a duration above 0"),
+        (("seconds = 5", "seconds = nan"), "[path] seconds is nan, not a number"),
         (("seconds = 5", "seconds = 0"), "[path] seconds is 0.0, not a duration above 0"),
         (("target = [0, 0, 0]", "target = [0, -1, -5]"), "lie on a line"),
         (("autoplay = true", "autoplay = 1"), "[embed] autoplay is 1, not true or false"),
         (("autoplay = true", 'buttons = "no"'), "[embed] buttons is 'no', not true or false"),
+        (('file = "body.ply"', "file = 3"), "[parts.body] file is 3, not text"),
+        (
+            ('file = "body.ply"', 'file = "two.glb"\nnode = "hood"'),
+            "[parts.body] has node 'hood', and the nodes",
+        ),
+        (("[parts.body]", '[parts.""]'), "parts has an empty name"),
+        (("scale = 0.5", 'scale = "big"'), "[parts.front] scale is 'big', not a number"),
+        (("scale = 0.5", "scale = nan"), "[parts.front] scale is nan, not a number"),
+        (("move = [1, 0, 0.2]", "move = [nan, 0, 0]"), "[parts.front] move is [nan, 0, 0], not 3 numbers"),
+        (("tint = [1, 0.5, 0.5]", "tint = [-1, 0, 0]"), "no number below 0"),
+        (
+            ("tint = [1, 0.5, 0.5]", "matrix = [[1, 0, 0]]"),
+            "[parts.rear] matrix is [[1, 0, 0]], not three rows",
+        ),
+        (("tint = [1, 0.5, 0.5]", "offset = [1, 0, 0]"), "[parts.rear] has an offset without a matrix"),
+        (
+            ("[variants.paint.plain]", '[variants]\nroof = ["open"]'),
+            "[variants.roof] is ['open'], not a table",
+        ),
+        (("dye.body = [0.9, 0.1, 0.1]", "tint = [1, 0, 9]"), "tint names no part: write tint.PART"),
+        (('show = ["front"]', "show = [1]"), "show is [1], not a list of names of parts"),
+        (('text = "Front"', ""), "[[hotspots]] needs 'text', which is missing"),
+        (("[[hotspots]]", "[hotspots]"), "Write [[hotspots]] above each note"),
+        (("target = [0, 0, 0]", 'target = [0, 0, 0]\nfov = "wide"'), "[start] fov is 'wide', not a number"),
+        (("target = [0, 0, 0]", ""), "[start] needs 'target', which is missing"),
+        (('file = "keyframes.json"', "file = 3"), "[path] file is 3, not text"),
+        (('file = "keyframes.json"', ""), "[path] needs 'file', which is missing"),
+        (('background = "white"', "background = [9, 0, 0]"), "three numbers from 0 to 1"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_sentence_with_the_file(car, tmp_path, capsys, change, message):
     assert change[0] in CAR
     car.write_text(CAR.replace(*change))
+    sx.save_scene(tmp_path / "two.glb", sx.Scene({"door": sx.Part(random_gaussians(2, n=4))}))
     with pytest.raises(SystemExit) as exit:
         cli.main(["compose", str(car), "--out", str(tmp_path / "car.glb")])
     assert exit.value.code == 2
     error = capsys.readouterr().err
     assert message in error
     assert "car.toml" in error or "hood.ply" in error
+    assert ".." not in error
     assert not (tmp_path / "car.glb").exists()
 
 

@@ -98,6 +98,7 @@ def test_a_damaged_scale_is_refused_with_the_file(scene):
 
 def test_label_images_split_a_scene_into_named_parts_and_held_out_ones_measure_it(capture, capsys):
     (capture / "labels" / "labels.txt").write_text("nothing\nleft\nright\n")
+    (capture / "labels" / "slip.png").write_bytes(b"of no photo")
     out = capture / "parts.glb"
     arguments = [
         "label",
@@ -112,6 +113,8 @@ def test_label_images_split_a_scene_into_named_parts_and_held_out_ones_measure_i
     cli.main(list(map(str, arguments)))
     said = capsys.readouterr().out
     assert "parts from 2 label images" in said
+    assert "1 label image in" in said
+    assert "no photo has the name: slip.png" in said
     assert float(said.split("1 held-out photo: ")[1].split()[0]) > 0.9
     parts = sx.load_scene(out)
     assert {"left", "right"} <= set(parts.names)

@@ -230,6 +230,84 @@ def test_a_pose_has_a_gradient_through_a_depth_image():
     assert_allclose(slope, 1 / (np.asarray(seen) @ NORMAL), rtol=1e-3)  # of the ray to a plane that moves
 
 
+def test_measurements_have_the_shapes_and_kinds_of_the_docs_for_a_camera_and_for_a_rig():
+    rays = len(TABLE)
+    expected = {
+        "color": ((18, 24, 3), "float32"),
+        "depth": ((18, 24), "float32"),
+        "normals": ((18, 24, 3), "float32"),
+        "labels": ((18, 24), "int32"),
+        "points": ((18, 24, 3), "float32"),
+        "lidar": [((rays,), "float32"), ((rays, 3), "float32"), ((rays,), "int32")],
+    }
+    alone = jax.eval_shape(lambda camera: observe(SCENE, camera, SENSORS), PINHOLE)
+    rig = CameraRig.of([PINHOLE, PINHOLE])
+    together = jax.eval_shape(lambda rig: observe(SCENE, rig, SENSORS), rig)
+    for name, wanted in expected.items():
+        wanted = wanted if isinstance(wanted, list) else [wanted]
+        for leaf, both, (shape, kind) in zip(
+            jax.tree.leaves(alone[name]), jax.tree.leaves(together[name]), wanted, strict=True
+        ):
+            assert (leaf.shape, leaf.dtype.name) == (shape, kind), name
+            assert (both.shape, both.dtype.name) == ((2, *shape), kind), name
+
+
+def test_noise_can_be_randomized_in_one_program_for_each_picture():
+    keys = jax.random.split(jax.random.key(5), 3)
+
+    def measured(exposure, quadratic, deviation, key):
+        asked = {
+            "rgb": Color(sensors.ColorNoise(exposure=exposure, full_well=300.0)),
+            "depth": Depth(sensors.DepthNoise(quadratic=quadratic)),
+            "scan": Lidar(jnp.asarray(TABLE), deviation=deviation, height=32),
+        }
+        return observe(SCENE, PINHOLE, asked, key=key)
+
+    given = jnp.array([0.2, 0.5, 1.0]), jnp.array([0.0, 0.02, 0.05]), jnp.array([0.0, 0.01, 0.1])
+    together = jax.jit(jax.vmap(measured))(*given, keys)
+    brightness = np.asarray(together["rgb"]).mean(axis=(1, 2, 3))
+    assert (np.diff(brightness) > 0.05).all()  # a longer exposure is brighter
+    plain = observe(SCENE, PINHOLE, {"depth": Depth(), "scan": SENSORS["lidar"]})
+    depth = np.asarray(together["depth"])
+    errors = [np.std((one - plain["depth"])[one > 0]) for one in depth]
+    assert errors[0] < errors[1] < errors[2]
+    ranges = np.asarray(together["scan"].ranges)
+    still = ranges[0]
+    spread = [np.nanstd(one - still) for one in ranges]
+    assert spread[0] == 0
+    assert_allclose(spread[1:], [0.01, 0.1], rtol=0.35)
+
+
+def test_a_whole_drive_is_one_map_over_poses():
+    rig = CameraRig.of([PINHOLE], ("front",))
+    shifts = jnp.array([0.0, 0.1, 0.3])
+
+    def at(shift):
+        body = Similarity(jnp.eye(3), jnp.stack([0.0 * shift, 0.0 * shift, shift]))
+        return observe(SCENE, rig.at(body), {"depth": Depth()})["depth"][0]
+
+    drive = jax.jit(lambda shifts: jax.lax.map(at, shifts))(shifts)
+    for shift, seen in zip(shifts, drive, strict=True):
+        assert_allclose(seen, at(shift), atol=1e-4)
+    # Depth is in the units of the scene: 0.3 nearer is 0.3 less, where the plane faces the camera.
+    middle = np.asarray(drive)[:, 9, 12]
+    assert middle[0] - middle[2] > 0.25
+
+
+def test_exposure_and_the_gaussians_have_gradients_through_a_noisy_picture():
+    def brightness(exposure, sh):
+        noise = sensors.ColorNoise(exposure=exposure)
+        scene = replace(PLANE, sh=sh)
+        return observe(scene, PINHOLE, {"c": Color(noise)}, key=jax.random.key(0))["c"].mean()
+
+    at = jnp.float32(0.5)
+    slope, rise = jax.grad(brightness, argnums=(0, 1))(at, PLANE.sh)
+    finite = (brightness(at + 0.01, PLANE.sh) - brightness(at - 0.01, PLANE.sh)) / 0.02
+    assert_allclose(slope, finite, rtol=2e-2)
+    assert np.isfinite(rise).all()
+    assert np.abs(rise).max() > 0
+
+
 def test_millimetres_hold_16_bits_and_0_where_nothing_is_measured():
     depth = jnp.array([0.0, math.nan, 1.2344, 65.535, 65.6, -1.0, math.inf])
     assert_array_equal(sensors.millimetres(depth), [0, 0, 1234, 65535, 0, 0, 0])

@@ -409,12 +409,25 @@ def test_poses_come_back_from_their_file(tmp_path):
         ({"poses": {"a": {"rotations": {"bone 0": [0, 0, 0, 0]}}}, "photos": {}}, "not all zero"),
         ({"poses": {"a": {"clip": "Jump"}}, "photos": {}}, "clip Jump"),
         ({"poses": {}, "photos": {"0.png": "a"}}, "has the pose a, which is not in it"),
-        ({"poses": {"a": {"clip": ["Wave"]}}, "photos": {}}, "not a valid file of poses"),
-        ({"poses": {"a": {"rotations": [0, 0, 0, 1]}}, "photos": {}}, "not a valid file of poses"),
-        ({"poses": {"a": {"rotations": {"bone 0": "up"}}}, "photos": {}}, "not a valid file of poses"),
+        ({"poses": {"a": {"clip": ["Wave"]}}, "photos": {}}, "not a valid poses file"),
+        ({"poses": {"a": {"rotations": [0, 0, 0, 1]}}, "photos": {}}, "not a valid poses file"),
+        ({"poses": {"a": {"rotations": {"bone 0": "up"}}}, "photos": {}}, "not a valid poses file"),
+        (
+            {"poses": {"a": {"rotation": {"bone 0": [0, 0, 0, 1]}}}, "photos": {}},
+            "has rotation, which is not",
+        ),
     ],
 )
-def test_poses_of_another_body_are_refused(tmp_path, written, message):
+def test_poses_that_cannot_be_are_refused(tmp_path, written, message):
     (tmp_path / "poses.json").write_text(json.dumps(written))
     with pytest.raises(sx.FormatError, match=message):
         read_poses(tmp_path / "poses.json", arm(), {})
+
+
+@pytest.mark.parametrize("time", [float("nan"), float("inf"), "soon", True])
+def test_a_pose_at_a_time_that_is_no_number_is_refused(tmp_path, time):
+    body = drawn_arm()
+    written = {"poses": {"a": {"clip": "Wave", "time": time}}, "photos": {}}
+    (tmp_path / "poses.json").write_text(json.dumps(written))
+    with pytest.raises(sx.FormatError, match=r"time of the pose a is .*, not a number of seconds"):
+        read_poses(tmp_path / "poses.json", body.skeleton, body.clips)

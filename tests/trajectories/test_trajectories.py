@@ -200,7 +200,20 @@ def test_a_closed_path_comes_back_and_seconds_set_the_rhythm(tmp_path):
         ('{"keyframes": []}', "no keyframes"),
         ('{"keyframes": [{"position": [0, 0, 0], "fov": 50}]}', "'wxyz' is missing"),
         ('{"keyframes": [{"position": [0, 0], "wxyz": [1, 0, 0, 0], "fov": 50}]}', "3 numbers"),
-        ('{"keyframes": [{"position": [0, 0, 0], "wxyz": [0, 0, 0, 0], "fov": 50}]}', "zero norm"),
+        (
+            '{"keyframes": [{"position": [0, 0, 0], "wxyz": [0, 0, 0, 0], "fov": 50}]}',
+            "keyframe 1: wxyz is zero",
+        ),
+        ('{"keyframes": {"a": 1}}', "no keyframes in a list"),
+        ('{"keyframes": [1]}', "keyframe 1 is 1, not position, wxyz and fov"),
+        ('{"keyframes": [{"position": [NaN, 0, 0], "wxyz": [1, 0, 0, 0], "fov": 50}]}', "position is .nan"),
+        ('{"keyframes": [{"position": "front", "wxyz": [1, 0, 0, 0], "fov": 50}]}', "is 'front', not 3 num"),
+        ('{"keyframes": [{"position": [0, 0, 0], "wxyz": [1, 0, 0, 0], "fov": NaN}]}', "degrees, not nan"),
+        ('{"keyframes": [{"position": [0, 0, 0], "wxyz": [1, 0, 0, 0], "fov": "wide"}]}', "not wide"),
+        (
+            '{"keyframes": [{"position": [0, 0, 0], "wxyz": [1, 0, 0, 0], "fov": 50, "seconds": NaN}]}',
+            "seconds are numbers, and all keyframes have them or none",
+        ),
         ('{"keyframes": [{"position": [0, 0, 0], "wxyz": [1, 0, 0, 0], "fov": 180}]}', "180 degrees"),
     ],
 )

@@ -49,6 +49,19 @@ def test_it_keeps_the_contract_of_gymnasium(env):
     check_env(env, skip_render_check=True)
 
 
+def test_observations_have_the_shapes_and_kinds_of_their_spaces(env):
+    seen, _ = env.reset(seed=1)
+    kinds = {name: (value.shape, value.dtype.name) for name, value in seen.items()}
+    assert kinds == {
+        "rgb": ((1, 16, 24, 3), "float32"),
+        "depth": ((1, 16, 24), "float32"),
+        "what": ((1, 16, 24), "int32"),
+        "qpos": ((4,), "float64"),
+        "qvel": ((4,), "float64"),
+    }
+    assert 0.1 < np.median(seen["depth"][seen["depth"] > 0]) < 10  # metres
+
+
 def test_a_seed_repeats_an_episode_with_its_noise(env):
     def episode():
         first, _ = env.reset(seed=3)
@@ -58,6 +71,31 @@ def test_a_seed_repeats_an_episode_with_its_noise(env):
     for once, again in zip(episode(), episode(), strict=True):
         for name in once:
             assert_array_equal(once[name], again[name])
+
+
+def test_environments_in_a_vector_have_seeds_and_noise_of_their_own(env):
+    fixed = {"rgb": Color(ColorNoise()), "depth": Depth()}
+    together = gymnasium.vector.SyncVectorEnv(
+        [lambda: gymnasium.wrappers.TimeLimit(made(fixed), 2)] * 2,
+        autoreset_mode=gymnasium.vector.AutoresetMode.SAME_STEP,
+    )
+    alone = made(fixed)
+    expected = [alone.reset(seed=seed)[0] for seed in (7, 8)]
+    seen, _ = together.reset(seed=[7, 8])
+    assert together.observation_space.contains(seen)
+    for i, own in enumerate(expected):
+        for name, value in own.items():
+            assert_allclose(seen[name][i], value, atol=1e-5)
+    assert np.abs(seen["rgb"][0] - seen["rgb"][1]).max() > 0.01
+    action = np.zeros((2, 4), np.float32)
+    _, rewards, ended, truncated, _ = together.step(action)
+    assert rewards.shape == (2,)
+    assert not ended.any()
+    assert not truncated.any()
+    again, *_, truncated, _ = together.step(action)
+    assert truncated.all()
+    assert np.isfinite(again["depth"]).all()
+    together.close()
 
 
 def test_an_action_moves_the_joints_and_the_observed_picture_follows(env):

@@ -56,6 +56,31 @@ def test_a_calibration_projects_a_point_to_the_pixel_of_the_camera_less_half_a_p
     assert fields["d"] == [0.0] * 5
 
 
+def test_a_lens_of_opencv_and_its_calibration_project_alike():
+    """ROS's rational_polynomial is OpenCV's model, with x to the right, y down and z forward (REP 103)."""
+    bent = replace(camera_at((0.0, 0.0, 0.0), target=(0, 0, 1)), lens=opencv(0.1, 0.02, 0.003, 0.004, 0.05))
+    fields = camera_info_fields(bent)
+    k1, k2, p1, p2, k3, *_ = fields["d"]
+    point = np.asarray(bent.to_camera(jnp.array([0.2, -0.1, 1.5])), np.float64)
+    x, y = point[:2] / point[2]
+    r2 = x * x + y * y
+    radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    u = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+    v = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+    pixel = (np.array(fields["k"]).reshape(3, 3) @ [u, v, 1])[:2]
+    assert_allclose(pixel + 0.5, bent.to_pixel(jnp.asarray(point, jnp.float32)), atol=1e-3)
+
+
+def test_the_numbers_of_a_cloud_lie_where_its_fields_say():
+    fields = cloud_fields(np.arange(24, dtype=np.float32).reshape(2, 4, 3))
+    layout = [
+        (field["name"], field["offset"], field["datatype"], field["count"]) for field in fields["fields"]
+    ]
+    assert layout == [("x", 0, 7, 1), ("y", 4, 7, 1), ("z", 8, 7, 1)]  # 7: FLOAT32
+    assert (fields["point_step"], fields["is_bigendian"]) == (12, False)
+    assert len(fields["data"]) == fields["row_step"] * fields["height"]
+
+
 def test_distortions_are_in_the_order_of_ros():
     camera = camera_at()
     bent = replace(camera, lens=opencv(0.1, 0.02, 0.003, 0.004, 0.05))  # k1 k2 p1 p2 k3
@@ -120,6 +145,9 @@ class Node:
     def create_timer(self, period, callback):
         self.period = period
 
+    def get_logger(self):
+        return SimpleNamespace(warning=lambda text, **_: setattr(self, "warned", text))
+
     def get_clock(self):
         return SimpleNamespace(now=lambda: SimpleNamespace(to_msg=lambda: "now"))
 
@@ -132,6 +160,8 @@ class Buffer:
     """Gives the poses of the test as tf does."""
 
     def lookup_transform(self, target, source, time):
+        if POSES[source] is None:
+            raise KeyError(source)
         place, turn = POSES[source]
         found = SimpleNamespace(
             translation=SimpleNamespace(**dict(zip("xyz", place, strict=True))),
@@ -173,6 +203,19 @@ def test_the_example_node_publishes_what_the_sensors_measure(monkeypatch, tmp_pa
     assert np.isfinite(sent).any()
     sent = np.frombuffer(color.data, "u1").reshape(24, 32, 3)
     assert np.abs(sent - np.asarray(seen["rgb"]) * 255).max() < 2
-    assert (color.header.stamp, color.header.frame_id) == ("now", "camera_optical_frame")
+    assert {message.header.stamp for message in node.sent.values()} == {"now"}
+    assert {message.header.frame_id for message in node.sent.values()} == {"camera_optical_frame"}
+    assert (depth.encoding, color.encoding) == ("32FC1", "rgb8")
+    assert np.isnan(np.frombuffer(depth.data, "<f4")).any()  # where nothing is measured (REP 118)
+    labels = node.sent["labels/image_raw"]
+    assert labels.encoding == "32SC1"
+    assert set(np.frombuffer(labels.data, "<i4")) == {-1, 0, 1}  # nothing, world, cup
+    info = node.sent["color/camera_info"]
+    assert (info.height, info.width, info.distortion_model) == (24, 32, "plumb_bob")
     assert node.sent["color/camera_info"].k[0] == 30.0
     assert node.period == 0.1
+    node.sent.clear()
+    monkeypatch.setitem(POSES, "cup", None)
+    node.publish()  # tf does not know a frame yet
+    assert node.sent == {}
+    assert "no picture yet" in node.warned

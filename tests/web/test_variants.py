@@ -126,6 +126,28 @@ def test_on_a_phone_all_choices_are_in_reach(open_page, page):
 
 
 @pytest.mark.slow
+def test_a_long_note_is_readable_in_whole_on_a_phone(open_page, tmp_path, viewer):
+    path = tmp_path / "notes.html"
+    text = "Forged rims of one piece, with a very long explanation " * 3 + "and an end."
+    notes = (web.Hotspot((1.2, 0.4, 0.0), text), web.Hotspot((-0.6, 0.0, 0.0), "short"))
+    web.save(path, SCENE, title="car", presentation=web.Presentation(hotspots=notes, start=CAMERA))
+    tab = open_page(path, (360, 640), has_touch=True, is_mobile=True)
+    tab.settle()
+    note = tab.tab.get_by_role("button", name=text)
+    note.tap()
+    tab.wait_for("document.querySelector('.hotspot').offsetHeight > 60")
+    tab.wait_for("document.querySelector('.hotspot').getBoundingClientRect().right <= innerWidth")
+    box = note.bounding_box()
+    assert box["x"] >= 0
+    assert box["y"] >= 0
+    assert box["y"] + box["height"] <= 640
+    inner = note.locator("span")
+    assert inner.evaluate("span => span.scrollWidth <= span.clientWidth + 1 || !span.clientWidth")
+    words = inner.bounding_box()
+    assert words["x"] + words["width"] <= box["x"] + box["width"]
+
+
+@pytest.mark.slow
 def test_an_embedded_page_has_no_buttons_and_plays_unless_less_motion_is_asked_for(
     browser, open_page, tmp_path, viewer
 ):

@@ -25,7 +25,7 @@ from splatax.cli.options import (
 )
 from splatax.cli.output import say
 from splatax.cli.page import tell_losses
-from splatax.errors import InputError
+from splatax.errors import InputError, shown
 from splatax.io import label_images
 from splatax.io.datasets import masks
 from splatax.io.datasets.photos import counted
@@ -103,6 +103,7 @@ class Label:
             )
         # Label images are of the photos as they are, so the views keep the lenses of the photos.
         dataset = load_scene(capture, self.downscale, model, undistort=False)
+        self._tell_unused([view.name for view in (*dataset.train, *dataset.test)])
         voting, testing = (self._read(views) for views in (dataset.train, dataset.test))
         if not voting:
             raise InputError(
@@ -110,6 +111,16 @@ class Label:
                 f"{Path(dataset.train[0].name).with_suffix('.png')}."
             )
         return voting, testing
+
+    def _tell_unused(self, photos: Sequence[str]) -> None:
+        """Says which label images are of no photo, such as those whose name has a slip."""
+        used = {label_images.path_of(self.masks, photo) for photo in photos}
+        if unused := sorted(path for path in self.masks.rglob("*.png") if path not in used):
+            say(
+                f"{counted(len(unused), 'label image')} in {self.masks} not used, because no photo has the "
+                f"name: {shown(unused[0].relative_to(self.masks).as_posix())}"
+                + (" and others" if len(unused) > 1 else "")
+            )
 
     def _read(self, views: Sequence[sx.View]) -> Labelled:
         found: Labelled = []

@@ -2,11 +2,13 @@
 
 import itertools
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from splatax.cameras import Camera
@@ -39,12 +41,11 @@ def read(path: Path, frames: int, size: Size) -> list[Camera]:
     except (OSError, ValueError) as error:
         raise FormatError(f"{path}: not a JSON file ({error}). Save the path again.") from error
     try:
-        rows, closed = contents["keyframes"], bool(contents.get("closed", False))
-        keys = [_key(row) for row in rows]
+        rows, closed = _rows(contents), bool(contents.get("closed", False))
+        keys = [_key(row, f"keyframe {i}") for i, row in enumerate(rows, 1)]
         times = _times(rows, closed)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        reason = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else str(error)
-        raise FormatError(f"{path}: not a camera path: {reason}. docs/video.md shows one.") from error
+    except ValueError as error:
+        raise FormatError(f"{path}: not a camera path: {error}. docs/video.md shows one.") from error
     moments = np.linspace(times[0], times[-1], frames, endpoint=not closed)
     return [key.camera(size) for key in interpolate(keys, times, moments, closed=closed)]
 
@@ -62,23 +63,46 @@ def write(keys: Sequence[Keyframe]) -> bytes:
     return json.dumps({"closed": False, "keyframes": rows}, indent=1).encode()
 
 
-def _key(row: dict[str, Any]) -> Keyframe:
-    position, wxyz = (np.array(row[name], np.float64) for name in ("position", "wxyz"))
-    fov = float(row["fov"])
-    if position.shape != (3,) or wxyz.shape != (4,) or not np.isfinite([*position, *wxyz]).all():
-        raise ValueError("position has 3 numbers, wxyz has 4")
-    if not 0 < fov < 180:
-        raise ValueError(f"fov is an angle of 0 to 180 degrees, not {fov}")
-    return Keyframe(position, Rotation.from_quat(wxyz, scalar_first=True), np.radians(fov))
+def _rows(contents: Any) -> list[Any]:
+    if not isinstance(contents, dict) or "keyframes" not in contents:
+        raise ValueError("'keyframes' is missing")
+    rows = contents["keyframes"]
+    if not isinstance(rows, list) or not rows:
+        raise ValueError("no keyframes in a list")
+    return rows
+
+
+def _key(row: Any, where: str) -> Keyframe:
+    if not isinstance(row, dict):
+        raise ValueError(f"{where} is {row!r}, not position, wxyz and fov")
+    position, wxyz, fov = _numbers(row, where, "position", 3), _numbers(row, where, "wxyz", 4), row.get("fov")
+    if not np.any(wxyz):
+        raise ValueError(f"{where}: wxyz is zero, which is no rotation")
+    if not _is_number(fov) or not 0 < fov < 180:
+        raise ValueError(f"{where}: fov is an angle of 0 to 180 degrees, not {fov}")
+    return Keyframe(position, Rotation.from_quat(wxyz, scalar_first=True), np.radians(float(fov)))
+
+
+def _numbers(row: dict[str, Any], where: str, name: str, count: int) -> Float[np.ndarray, " count"]:
+    if name not in row:
+        raise ValueError(f"{where}: {name!r} is missing")
+    values = row[name]
+    if not isinstance(values, list) or len(values) != count or not all(map(_is_number, values)):
+        raise ValueError(f"{where}: {name} is {values!r}, not {count} numbers")
+    return np.array(values, np.float64)
+
+
+def _is_number(value: Any) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _times(rows: list[dict[str, Any]], closed: bool) -> list[float]:
-    if not rows:
-        raise ValueError("no keyframes")
     timed = [row["seconds"] for row in rows if "seconds" in row]
     if not timed:
         return [float(i) for i in range(len(rows) + closed)]
+    if len(timed) != len(rows) or not all(map(_is_number, timed)):
+        raise ValueError("seconds are numbers, and all keyframes have them or none")
     times = [float(seconds) for seconds in timed]
-    if len(times) != len(rows) or any(a >= b for a, b in itertools.pairwise(times)):
-        raise ValueError("seconds increase from each keyframe to the next, and all have them or none")
+    if any(a >= b for a, b in itertools.pairwise(times)):
+        raise ValueError("seconds increase from each keyframe to the next")
     return [*times, times[-1] + (times[-1] - times[0]) / max(len(times) - 1, 1)] if closed else times

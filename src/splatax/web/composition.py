@@ -35,6 +35,7 @@ from splatax.rendering import Color
 from splatax.scene import ColorMap, Option, Part, Scene, Variants, chosen
 from splatax.trajectories import keyframes
 from splatax.transforms import Similarity
+from splatax.web import tables
 from splatax.web.presentation import Hotspot, Presentation
 from splatax.web.skinned import Motion
 
@@ -93,9 +94,10 @@ def compose(path: str | Path) -> Composition:
         return _composed(path, table)
     except FormatError:
         raise
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        reason = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else str(error)
-        raise FormatError(f"{path}: {reason}. docs/configurator.md shows an example.") from error
+    except ValueError as error:
+        raise FormatError(
+            f"{path}: {str(error).removesuffix('.')}. docs/configurator.md shows an example."
+        ) from error
 
 
 def _from_glb(path: Path) -> Composition:
@@ -114,24 +116,40 @@ def _from_glb(path: Path) -> Composition:
 
 def _composed(path: Path, table: dict[str, Any]) -> Composition:
     known = ("title", "background", "parts", "variants", "hotspots", "start", "path", "embed")
-    _check_keys("the file", table, known)
-    files, rows, motions = _Files(path.parent), table.get("parts", {}), dict[str, Motion]()
+    tables.table("the file", table, known)
+    rows = tables.table("parts", table.get("parts", {}))
+    if not rows:
+        raise ValueError("no parts. Give at least one, such as [parts.body] with its file")
+    files, motions = _Files(path.parent), dict[str, Motion]()
     scene = Scene({name: _part(files, name, row, motions) for name, row in rows.items()})
     variants = {
-        variant: {name: _option(f"[variants.{variant}.{name}]", row) for name, row in options.items()}
-        for variant, options in table.get("variants", {}).items()
+        variant: {
+            name: _option(f"[variants.{variant}.{name}]", row)
+            for name, row in tables.table(f"[variants.{variant}]", options).items()
+        }
+        for variant, options in tables.table("variants", table.get("variants", {})).items()
     }
     chosen(scene, variants)
     presentation = _presentation(path, table, variants)
     for spot in presentation.hotspots:
-        if spot.part is not None:
-            scene[spot.part]
-    background = table.get("background", "black")
-    rgb = COLORS.get(background) if isinstance(background, str) else _numbers("background", background, 3)
-    if rgb is None:
-        raise ValueError(f"background is {background!r}, not black, white or three numbers")
-    title = str(table.get("title", path.stem))
-    return Composition(scene, presentation, title, (rgb[0], rgb[1], rgb[2]), motions)
+        if spot.part is not None and spot.part not in scene.parts:
+            raise ValueError(
+                f"[[hotspots]] has no part {spot.part!r}: the scene has {', '.join(scene.names)}"
+            )
+    title = tables.text("title", table.get("title", path.stem))
+    return Composition(scene, presentation, title, _background(table.get("background", "black")), motions)
+
+
+def _background(value: Any) -> Color:
+    if isinstance(value, str) and value in COLORS:
+        return COLORS[value]
+    try:
+        rgb = tables.color("background", value)
+    except ValueError:
+        rgb = (math.inf,) * 3
+    if max(rgb) > 1:
+        raise ValueError(f"background is {value!r}, not black, white or three numbers from 0 to 1")
+    return rgb
 
 
 class _Files:
@@ -147,16 +165,29 @@ def _part(files: _Files, name: str, row: dict[str, Any], motions: dict[str, Moti
     """Returns a part, and adds its clip to the motions if it plays one."""
     where = f"[parts.{name}]"
     known = ("file", "node", "clip", "degrees", "scale", "move", "visible", "tint", "dye", "matrix", "offset")
-    _check_keys(where, row, known)
-    file, node = str(row["file"]), row.get("node")
+    tables.table(where, row, known)
+    file = tables.text(f"{where} file", tables.needed(where, row, "file"))
+    node = tables.text(f"{where} node", row["node"]) if "node" in row else None
     if "clip" in row:
-        gaussians, motions[name] = _moving(where, files, file, node, str(row["clip"]))
+        clip = tables.text(f"{where} clip", row["clip"])
+        gaussians, motions[name] = _moving(where, files, file, node, clip)
     else:
-        gaussians = files.whole(file) if node is None else files.nodes(file)[node].gaussians
-    place = {key: _numbers(f"{where} {key}", row[key], 3) for key in ("degrees", "move") if key in row}
-    pose = Similarity.of(**place, scale=float(row.get("scale", 1)))  # type: ignore[arg-type]
-    visible = _flag(f"{where} visible", row.get("visible", True))
+        gaussians = files.whole(file) if node is None else _node(where, files, file, node)
+    place = {key: tables.numbers(f"{where} {key}", row[key], 3) for key in ("degrees", "move") if key in row}
+    scale = tables.number(f"{where} scale", row.get("scale", 1))
+    if scale <= 0:
+        raise ValueError(f"{where} scale is {scale:g}, not above 0")
+    pose = Similarity.of(**place, scale=scale)  # type: ignore[arg-type]
+    visible = tables.flag(f"{where} visible", row.get("visible", True))
     return Part(gaussians, pose, visible, _color(where, row))
+
+
+def _node(where: str, files: _Files, file: str, node: str) -> Gaussians:
+    """Returns the Gaussians of a node of a .glb file."""
+    scene = files.nodes(file)
+    if node not in scene.parts:
+        raise ValueError(f"{where} has node {node!r}, and the nodes of {file} are {', '.join(scene.names)}")
+    return scene[node].gaussians
 
 
 def _moving(where: str, files: _Files, file: str, node: str | None, clip: str) -> tuple[Gaussians, Motion]:
@@ -175,90 +206,86 @@ def _moving(where: str, files: _Files, file: str, node: str | None, clip: str) -
 
 def _color(where: str, row: Mapping[str, Any]) -> ColorMap | None:
     given = [key for key in ("tint", "dye", "matrix") if key in row]
-    if len(given) > 1 or ("offset" in row and given != ["matrix"]):
+    if len(given) > 1:
         raise ValueError(f"{where} has more than one colour. Give tint, dye, or a matrix with an offset")
+    if "offset" in row and given != ["matrix"]:
+        raise ValueError(f"{where} has an offset without a matrix")
     if not given:
         return None
     if given == ["matrix"]:
-        rows = [_numbers(f"{where} matrix", numbers, 3) for numbers in row["matrix"]]
-        offset = _numbers(f"{where} offset", row.get("offset", (0, 0, 0)), 3)
-        return ColorMap(np.array(rows, np.float32).reshape(3, 3), np.array(offset, np.float32))
-    red, green, blue = _numbers(f"{where} {given[0]}", row[given[0]], 3)
-    return {"tint": ColorMap.tint, "dye": ColorMap.dye}[given[0]]((red, green, blue))
+        rows = row["matrix"] if isinstance(row["matrix"], list) and len(row["matrix"]) == 3 else None
+        if rows is None:
+            raise ValueError(f"{where} matrix is {row['matrix']!r}, not three rows of three numbers")
+        matrix = [tables.numbers(f"{where} a row of matrix", numbers, 3) for numbers in rows]
+        offset = tables.numbers(f"{where} offset", row.get("offset", (0, 0, 0)), 3)
+        return ColorMap(np.array(matrix, np.float32), np.array(offset, np.float32))
+    color = tables.color(f"{where} {given[0]}", row[given[0]])
+    return ColorMap.tint(color) if given[0] == "tint" else ColorMap.dye(color)
 
 
 def _option(where: str, row: dict[str, Any]) -> Option:
     maps = ("tint", "dye", "matrix", "offset")
-    _check_keys(where, row, ("show", *maps))
+    tables.table(where, row, ("show", *maps))
+    for key in maps:
+        if not isinstance(row.get(key, {}), dict):
+            raise ValueError(f"{where} {key} names no part: write {key}.PART")
     parts = dict.fromkeys(part for key in maps for part in row.get(key, {}))
     colors = {}
     for part in parts:
         own = {key: row[key][part] for key in maps if part in row.get(key, {})}
-        color = _color(f"{where} {part}", own)
-        if color is None:
-            raise ValueError(f"{where} {part} has an offset without a matrix")
-        colors[part] = color
+        if (color := _color(f"{where} {part}", own)) is not None:
+            colors[part] = color
     show = row.get("show", [])
-    if not isinstance(show, list):
-        raise ValueError(f"{where} show is {show!r}, not a list of parts")
-    return Option(tuple(map(str, show)), colors)
+    if not isinstance(show, list) or not all(isinstance(part, str) for part in show):
+        raise ValueError(f"{where} show is {show!r}, not a list of names of parts")
+    return Option(tuple(show), colors)
 
 
 def _presentation(path: Path, table: dict[str, Any], variants: Variants) -> Presentation:
-    spots = []
-    for row in table.get("hotspots", []):
-        _check_keys("[[hotspots]]", row, ("at", "text", "part"))
-        x, y, z = _numbers("[[hotspots]] at", row["at"], 3)
-        spots.append(Hotspot((x, y, z), str(row["text"]), row.get("part")))
-    embed, flight, start = table.get("embed", {}), table.get("path", {}), table.get("start")
-    _check_keys("[embed]", embed, ("buttons", "autoplay", "turntable"))
-    _check_keys("[path]", flight, ("file", "seconds"))
-    seconds = float(flight.get("seconds", SECONDS))
-    if not 0 < seconds < math.inf:
+    rows = table.get("hotspots", [])
+    if not isinstance(rows, list):
+        raise ValueError("hotspots is one table. Write [[hotspots]] above each note")
+    embed = tables.table("[embed]", table.get("embed", {}), ("buttons", "autoplay", "turntable"))
+    flight = tables.table("[path]", table.get("path", {}), ("file", "seconds"))
+    seconds = tables.number("[path] seconds", flight.get("seconds", SECONDS))
+    if seconds <= 0:
         raise ValueError(f"[path] seconds is {seconds}, not a duration above 0")
-    cameras = keyframes.read(path.parent / flight["file"], FRAMES, SIZE) if flight else []
+    cameras = []
+    if "path" in table:
+        file = tables.text("[path] file", tables.needed("[path]", flight, "file"))
+        cameras = keyframes.read(path.parent / file, FRAMES, SIZE)
     return Presentation(
         variants,
-        tuple(spots),
-        None if start is None else _view(start),
+        tuple(map(_spot, rows)),
+        _view(table["start"]) if "start" in table else None,
         cameras,
         seconds,
-        "turntable" if _flag("[embed] turntable", embed.get("turntable", False)) else "flight",
-        _flag("[embed] autoplay", embed.get("autoplay", False)),
-        _flag("[embed] buttons", embed.get("buttons", True)),
+        "turntable" if tables.flag("[embed] turntable", embed.get("turntable", False)) else "flight",
+        tables.flag("[embed] autoplay", embed.get("autoplay", False)),
+        tables.flag("[embed] buttons", embed.get("buttons", True)),
     )
 
 
-def _view(row: dict[str, Any]) -> Camera:
-    _check_keys("[start]", row, ("position", "target", "up", "fov"))
-    position, target = (_numbers(f"[start] {key}", row[key], 3) for key in ("position", "target"))
-    up = _numbers("[start] up", row.get("up", UP), 3)
-    fov = float(row.get("fov", 50))
+def _spot(row: Any) -> Hotspot:
+    where = "[[hotspots]]"
+    tables.table(where, row, ("at", "text", "part"))
+    x, y, z = tables.numbers(f"{where} at", tables.needed(where, row, "at"), 3)
+    part = tables.text(f"{where} part", row["part"]) if "part" in row else None
+    return Hotspot((x, y, z), tables.text(f"{where} text", tables.needed(where, row, "text")), part)
+
+
+def _view(row: Any) -> Camera:
+    where = "[start]"
+    tables.table(where, row, ("position", "target", "up", "fov"))
+    position, target = (
+        tables.numbers(f"{where} {key}", tables.needed(where, row, key), 3) for key in ("position", "target")
+    )
+    up = tables.numbers(f"{where} up", row.get("up", UP), 3)
+    fov = tables.number(f"{where} fov", row.get("fov", 50))
     if not 0 < fov < 180:
-        raise ValueError(f"[start] fov is an angle of 0 to 180 degrees, not {fov}")
+        raise ValueError(f"{where} fov is an angle of 0 to 180 degrees, not {fov:g}")
     pose = look_at(*(jnp.asarray(point, jnp.float32) for point in (position, target, up)))
     if not np.isfinite(pose).all():
-        raise ValueError("[start] position, target and up lie on a line")
+        raise ValueError(f"{where} position, target and up lie on a line")
     width, height = SIZE
     return Camera.simple_pinhole(height / 2 / math.tan(math.radians(fov) / 2), pose, width, height)
-
-
-def _numbers(what: str, values: Any, count: int) -> tuple[float, ...]:
-    numbers = [float(value) for value in values] if isinstance(values, list | tuple) else []
-    if len(numbers) != count or not np.isfinite(numbers).all():
-        raise ValueError(f"{what} is {values!r}, not {count} numbers")
-    return tuple(numbers)
-
-
-def _flag(what: str, value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise ValueError(f"{what} is {value!r}, not true or false")
-    return value
-
-
-def _check_keys(where: str, row: Any, known: tuple[str, ...]) -> None:
-    if not isinstance(row, dict):
-        raise ValueError(f"{where} is {row!r}, not a table")
-    for key in row:
-        if key not in known:
-            raise ValueError(f"{where} has {key!r}, which is not one of {', '.join(known)}")

@@ -9,6 +9,7 @@ does not name are as in the rest pose, or as in the clip.
 """
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -50,7 +51,7 @@ def read_poses(path: Path, skeleton: Skeleton, clips: Mapping[str, Clip]) -> Pos
             f'{path}: not a file of poses: it needs "poses" and "photos" '
             f"({type(error).__name__}). docs/rigs.md shows one."
         ) from error
-    with structured(path, "file of poses"):
+    with structured(path, "poses"):
         poses = {str(name): _pose(path, str(name), pose, skeleton, clips) for name, pose in written.items()}
         for photo, name in photos.items():
             if name not in poses:
@@ -88,6 +89,11 @@ def _listed(skeleton: Skeleton, rows: np.ndarray) -> dict[str, list[float]]:
 def _pose(path: Path, name: str, written: Any, skeleton: Skeleton, clips: Mapping[str, Clip]) -> Pose:
     if not isinstance(written, dict):
         raise FormatError(f"{path}: the pose {shown(name)} has neither rotations nor a clip.")
+    known = ("clip", "time", *FIELDS)
+    if unknown := [key for key in written if key not in known]:
+        raise FormatError(
+            f"{path}: the pose {shown(name)} has {shown(unknown[0])}, which is not one of {', '.join(known)}."
+        )
     pose = skeleton.rest
     if (clip := written.get("clip")) is not None:
         if clip not in clips:
@@ -95,7 +101,12 @@ def _pose(path: Path, name: str, written: Any, skeleton: Skeleton, clips: Mappin
                 f"{path}: the pose {shown(name)} names the clip {shown(str(clip))}, which the body does not "
                 f"have. Its clips are {shown(', '.join(clips) or 'none', 300)}."
             )
-        pose = clips[clip].pose(pose, float(written.get("time", 0)))
+        time = written.get("time", 0)
+        if isinstance(time, bool) or not isinstance(time, int | float) or not math.isfinite(time):
+            raise FormatError(
+                f"{path}: time of the pose {shown(name)} is {shown(repr(time))}, not a number of seconds."
+            )
+        pose = clips[clip].pose(pose, float(time))
     for key, (attribute, width) in FIELDS.items():
         for joint, numbers in dict(written.get(key, {})).items():
             if joint not in skeleton.names:

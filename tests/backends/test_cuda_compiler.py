@@ -38,7 +38,9 @@ def test_all_kernels_compile_without_spills_and_within_their_registers(compiler,
     assert compiled.binary.startswith(b"\x7fELF")
     found = {match["name"]: match for match in KERNEL.finditer(compiled.log)}
     text = "".join(programs.sources().values())
-    plain = set(re.findall(r"^KERNEL __launch_bounds__\(BLOCK_SIZE\)\s+(\w+)\(\w+ \w+[,)]", text, re.MULTILINE))
+    plain = set(
+        re.findall(r"^KERNEL __launch_bounds__\(BLOCK_SIZE\)\s+(\w+)\(\w+ \w+[,)]", text, re.MULTILINE)
+    )
     assert {"project", "count_tiles", "photometric_loss", "move_rows"} <= plain - {"NAME"}
     assert plain - {"NAME"} <= set(found)
     for name, match in found.items():

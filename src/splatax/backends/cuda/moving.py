@@ -18,7 +18,9 @@ def move(
     block: int,
     library: Library,
 ) -> tuple[Gaussians, Moments]:
-    """Makes one step with all rows, in place if the caller donates the arrays. Numbers at rest are not written.
+    """Makes one step with all rows, in place if the caller donates the arrays.
+
+    Numbers at rest are not written. Numbers below 2^-126 are not flushed to zero.
 
     Raises:
         ValueError: if arrays do not fit together.

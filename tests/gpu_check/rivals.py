@@ -1,7 +1,7 @@
 """Frames of another rasterizer of the same scenes. As a program, it prints a line of JSON for each scene.
 
-It runs in a process of its own, which may fail: the packages may be missing, unbuilt, broken or of a version with
-another interface. What is called was read in the sources of gsplat 1.5.3 and splax 0.2; it has run with neither.
+It runs in a process of its own, which may fail: the packages may be missing, unbuilt, broken or of a version
+with another interface. The calls follow the public sources of gsplat and splax; they have run with neither.
 """
 
 import json

@@ -29,8 +29,8 @@ PARTS = {  # of a training step: what its kernels are called, and what is counte
     "loss": (("photometric_", "sum_loss_parts"), 0.07),
     "Adam": (("move_rows",), 0.55),
 }
-# Bytes that a step of Adam reads and writes for each number of the scene that moves: its value, gradient and both
-# moments are read, and all but the gradient are written.
+# Bytes that a step of Adam reads and writes for each number of the scene that moves: its value, gradient and
+# both moments are read, and all but the gradient are written.
 ADAM_BYTES = 7 * 4
 
 

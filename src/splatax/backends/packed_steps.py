@@ -7,8 +7,8 @@ from splatax.gaussians import ARRAYS
 from splatax.moving import Rule, Step, corrections, prior_weights
 
 FIELDS = len(ARRAYS)
-# Place of an argument -> place of the result that may take its memory. The arguments are the fields of a scene,
-# of its gradients and of both moments; all but the gradients are moved.
+# Place of an argument -> place of the result that may take its memory. The arguments are the fields of a
+# scene, of its gradients and of both moments; all but the gradients are moved.
 PLACES = {place: i for i, place in enumerate([*range(FIELDS), *range(2 * FIELDS, 4 * FIELDS)])}
 
 

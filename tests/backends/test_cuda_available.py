@@ -16,6 +16,7 @@ from splatax.backends.protocol import runs_everywhere
 from splatax.losses import Photometric
 from splatax.moving import Moments, Rule, Step
 from splatax.rendering import render
+from splatax.training.optimizer import LearningRates
 
 WHY_REFUSED = nvidia._why_refused
 
@@ -100,8 +101,8 @@ def train(gaussians, camera, photo):
         return Photometric()(image, photo, kernel=ELSEWHERE.photometric)
 
     gradients = jax.grad(objective)(gaussians)
-    rates = jax.tree.map(lambda leaf: jnp.ones((1, *leaf.shape[1:])), gaussians)
     one, true = jnp.float32(1), jnp.asarray(True)
+    rates = LearningRates().at(one, one[None], 4)
     keys = jnp.zeros((1, 2), jnp.uint32)
     step = Step(rates, jnp.ones(4, bool), true, jnp.int32(1), jnp.int32(30), one, keys)
     moments = Moments(gradients, gradients)

@@ -43,6 +43,7 @@ class Library:
         shapes: Sequence[foreign.Shape],
         arrays: Sequence[Array],
         aliases: Mapping[int, int] | None = None,
+        /,
         **options: np.int64 | np.float32,
     ) -> Sequence[Array]:
         """Calls a handler; see `splatax.backends.foreign.call`."""

@@ -32,6 +32,7 @@ HOLD(cuLibraryLoadData);
 HOLD(cuLibraryGetKernel);
 HOLD(cuLaunchKernel);
 HOLD(cuMemsetD8Async);
+HOLD(cuMemcpyDtoDAsync_v2);
 HOLD(cuMemcpyDtoHAsync_v2);
 HOLD(cuMemHostAlloc);
 HOLD(cuStreamSynchronize);

@@ -72,6 +72,10 @@ int cuMemsetD8Async(unsigned long long at, unsigned char value, size_t bytes, vo
   std::memset(reinterpret_cast<void*>(at), value, bytes);
   return 0;
 }
+int cuMemcpyDtoDAsync_v2(unsigned long long to, unsigned long long from, size_t bytes, void*) {
+  std::memcpy(reinterpret_cast<void*>(to), reinterpret_cast<void*>(from), bytes);
+  return 0;
+}
 int cuMemcpyDtoHAsync_v2(void* to, unsigned long long from, size_t bytes, void*) {
   std::memcpy(to, reinterpret_cast<void*>(from), bytes);
   return 0;

@@ -93,6 +93,13 @@ inline unsigned __float_as_uint(float x) {
   std::memcpy(&bits, &x, sizeof bits);
   return bits;
 }
+inline float __uint_as_float(unsigned bits) {
+  float x;
+  std::memcpy(&x, &bits, sizeof x);
+  return x;
+}
+inline float __fmul_rn(float a, float b) { return a * b; }  // products are not contracted; see tests/emulated.py
+inline float __fadd_rn(float a, float b) { return a + b; }
 inline float __fdividef(float a, float b) { return a / b; }
 inline float fast_exp2(float x) { return std::exp2(x); }
 template <class T>

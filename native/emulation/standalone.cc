@@ -124,6 +124,34 @@ void compare_pictures(Work& work) {
   print("loss", loss, 1), print("d_image", gradient, NUMBERS);
 }
 
+void move_scene(Work& work) {
+  constexpr int N = 75, K = 4, WIDTHS[] = {3, 4, 3, 1, 3 * K};
+  Memory memory;
+  const auto fields = [&](float low, float high, int still) {  // the first rows are zero
+    float* found[5];
+    for (int field = 0; field < 5; ++field) {
+      const auto numbers = uniform(N * WIDTHS[field], low, high);
+      found[field] = memory.get<float>(numbers.size());
+      std::copy(numbers.begin(), numbers.end(), found[field]);
+      std::fill_n(found[field], still * WIDTHS[field], 0.0f);
+    }
+    return Fields<float>{found[0], found[1], found[2], found[3], found[4]};
+  };
+  const Fields<float> scene = fields(-6, 1, 0), gradients = fields(-1, 1, 40), mean = fields(-1, 1, 20);
+  const Fields<float> square = fields(0, 1, 0);
+  const float numbers[MOVE_NUMBERS] = {1,     0.9f,  0.1f,  0.999f, 0.001f, 1e-15f, 3.7f, 300,
+                                       1e-3f, 5e-3f, 5e-2f, 0.01f,  0.02f,  1e5f,   0.3f};
+  const auto rates = uniform(N, 1e-4f, 1e-3f), sh_rates = uniform(K, 1e-4f, 1e-3f);
+  const float sh_free[K] = {1, 1, 1, 0};
+  const uint32_t keys[] = {1, 2, 3, 4, 5, 6};  // of 32 rows each
+  const Move move{numbers, rates.data(), sh_rates.data(), sh_free, keys, N, K, 32, true,
+                  {gradients.means, gradients.quats, gradients.log_scales, gradients.opacity_logits, gradients.sh},
+                  scene, mean, square};
+  work.launch("move_rows", blocks_for(N), move);
+  print("means", scene.means, 3 * N), print("quats", scene.quats, 4 * N), print("sh", scene.sh, 3 * K * N);
+  print("m_means", mean.means, 3 * N), print("s_sh", square.sh, 3 * K * N);
+}
+
 }  // namespace
 
 // With an argument, the rasterizer alone.
@@ -137,4 +165,5 @@ int main(int arguments, char**) {
   if (arguments > 1) return 0;
   project_scene(work);
   compare_pictures(work);
+  move_scene(work);
 }

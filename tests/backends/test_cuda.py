@@ -18,6 +18,8 @@ from splatax.backends import reference
 from splatax.backends.cuda import nvidia
 from splatax.backends.cuda.library import load
 from splatax.low_pass import Dilation
+from splatax.moving import Moments, Rule, Step
+from splatax.training.optimizer import LearningRates
 
 pytestmark = pytest.mark.skipif(
     emulated.why_unavailable() is not None, reason=str(emulated.why_unavailable())
@@ -81,6 +83,73 @@ def test_projection_and_loss_give_the_same_bits_in_any_order_of_threads(other_or
 
     gradients = jax.jit(jax.value_and_grad(objective, (0, 1, 2)))
     same_bits(lambda: jax.tree.leaves(gradients(gaussians, camera, image)), other_order)
+
+
+# --- a training step of the rows ---
+
+
+def rows_to_move(n=96):
+    """A scene of faint and of clear Gaussians, some of them at rest, and the numbers of a step with noise."""
+    rng = np.random.default_rng(3)
+    gaussians = random_gaussians(n=n, degree=1)
+    gaussians = replace(gaussians, opacity_logits=jnp.linspace(-8, 3, n, dtype=jnp.float32))
+
+    def numbers(scale):
+        return jax.tree.map(
+            lambda leaf: jnp.asarray(rng.normal(0, scale, leaf.shape), jnp.float32).at[20:60].set(0),
+            gaussians,
+        )
+
+    gradients, mean, square = numbers(1e-3), numbers(1e-3), jax.tree.map(jnp.abs, numbers(1e-6))
+    step = Step(
+        rates=LearningRates().at(jnp.float32(0.5), jnp.linspace(1.0, 2.0, n, dtype=jnp.float32), 4),
+        free=jnp.ones(4, bool),
+        good=jnp.asarray(True),
+        steps=jnp.int32(3),
+        living=jnp.int32(n),
+        extent=jnp.float32(3),
+        keys=jax.random.key_data(jax.random.split(jax.random.key(5), n // 32)),
+    )
+    return (gaussians, gradients, Moments(mean, square)), step
+
+
+MOVE = Rule(0.9, 0.999, 1e-15, opacity=0.3, scale=0.7, noise=5e5)
+
+
+def test_a_step_of_the_rows_gives_the_same_bits_in_any_order_of_threads(other_order):
+    rows, step = rows_to_move()
+    same_bits(lambda: jax.tree.leaves(emulated.kernels().move(*rows, step, MOVE, 32)), other_order)
+
+
+def test_a_row_moves_alike_in_any_part_of_a_scene():
+    rows, step = rows_to_move()
+    whole = emulated.kernels().move(*rows, step, MOVE, 32)
+    for block in range(3):
+        own = slice(32 * block, 32 * block + 32)
+        part = jax.tree.map(lambda leaf, own=own: leaf[own], rows)
+        rates = replace(step.rates, means=step.rates.means[own])
+        its_step = step._replace(rates=rates, keys=step.keys[block : block + 1])
+        alone = emulated.kernels().move(*part, its_step, MOVE, 32)
+        for a, b in zip(*map(jax.tree.leaves, (whole, alone)), strict=True):
+            assert_array_equal(a[own], b)
+
+
+@pytest.mark.parametrize("donated", [True, False])
+def test_a_step_is_made_in_the_memory_of_donated_arrays_and_spoils_no_others(donated):
+    (gaussians, gradients, moments), step = rows_to_move()
+    expected = emulated.kernels().move(gaussians, gradients, moments, step, MOVE, 32)
+    move = jax.jit(
+        partial(emulated.kernels().move, rule=MOVE, block=32), donate_argnums=(0, 2) if donated else ()
+    )
+    before = jax.tree.map(jnp.copy, (gaussians, moments))
+    places = [leaf.unsafe_buffer_pointer() for leaf in jax.tree.leaves(before)]
+    found = jax.tree.leaves(move(before[0], gradients, before[1], step))
+    assert ([leaf.unsafe_buffer_pointer() for leaf in found] == places) is donated
+    for a, b in zip(found, jax.tree.leaves(expected), strict=True):
+        assert_array_equal(a, b)
+    if not donated:
+        for a, b in zip(*map(jax.tree.leaves, (before, (gaussians, moments))), strict=True):
+            assert_array_equal(a, b)
 
 
 # --- rounds ---
@@ -185,6 +254,33 @@ def test_a_photo_of_another_size_is_refused_before_it_is_read():
             [(8, 9, 3), (8, 8, 3)],
             ssim_weight=np.float32(0.2),
         )
+
+
+FIELDS = [(5, 3), (5, 4), (5, 3), (5,), (5, 4, 3)]
+STEP = [(15,), (5,), (4,), (4,)]
+
+
+def call_move(shapes, keys):
+    library = emulated.kernels().composite.keywords["library"]
+    arrays = [*(jnp.ones(shape) for shape in shapes), keys]
+    return library.call("splatax_cuda_move", 3 * FIELDS, arrays, block=np.int64(8))
+
+
+@pytest.mark.parametrize("wrong", range(24))
+def test_arrays_of_a_step_that_do_not_fit_together_are_refused_before_they_are_read(wrong):
+    shapes = [*(4 * FIELDS), *STEP]
+    shapes[wrong] = (3, *shapes[wrong][1:])
+    with pytest.raises(jax.errors.JaxRuntimeError, match=r"splatax: move: .* has shape"):
+        call_move(shapes, jnp.zeros((1, 2), jnp.uint32))
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [(jnp.zeros((2, 2), jnp.uint32), "keys has shape"), (jnp.zeros((1, 2)), "array 24 is .* another type")],
+)
+def test_keys_of_another_kind_are_refused(keys, message):
+    with pytest.raises(jax.errors.JaxRuntimeError, match=f"splatax: move: {message}"):
+        call_move([*(4 * FIELDS), *STEP], keys)
 
 
 # --- the library of users ---

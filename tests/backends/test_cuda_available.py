@@ -14,7 +14,9 @@ from splatax.backends import cuda
 from splatax.backends.cuda import library, nvidia, nvrtc
 from splatax.backends.protocol import runs_everywhere
 from splatax.losses import Photometric
+from splatax.moving import Moments, Rule, Step
 from splatax.rendering import render
+from splatax.training.optimizer import LearningRates
 
 WHY_REFUSED = nvidia._why_refused
 
@@ -93,18 +95,24 @@ needs_library = pytest.mark.skipif(
 )
 
 
-def loss_and_gradient(gaussians, camera, photo):
+def train(gaussians, camera, photo):
     def objective(gaussians):
         image = render(gaussians, camera, backend=ELSEWHERE).rgb
         return Photometric()(image, photo, kernel=ELSEWHERE.photometric)
 
-    return jax.value_and_grad(objective)(gaussians)
+    gradients = jax.grad(objective)(gaussians)
+    one, true = jnp.float32(1), jnp.asarray(True)
+    rates = LearningRates().at(one, one[None], 4)
+    keys = jnp.zeros((1, 2), jnp.uint32)
+    step = Step(rates, jnp.ones(4, bool), true, jnp.int32(1), jnp.int32(30), one, keys)
+    moments = Moments(gradients, gradients)
+    return ELSEWHERE.move(gaussians, gradients, moments, step, Rule(0.9, 0.999, 1e-15), len(gaussians))
 
 
 @needs_library
 def test_a_step_is_lowered_for_cuda_on_a_machine_without_it():
     arguments = (random_gaussians(n=30, degree=1), camera_at(), jnp.zeros((24, 32, 3)))
-    lowered = jax.jit(loss_and_gradient).trace(*arguments).lower(lowering_platforms=("cuda",))
+    lowered = jax.jit(train).trace(*arguments).lower(lowering_platforms=("cuda",))
     assert set(re.findall(r"splatax_\w+", lowered.as_text())) >= set(library.SYMBOLS)
 
 
@@ -112,7 +120,5 @@ def test_a_step_is_lowered_for_cuda_on_a_machine_without_it():
 def test_a_step_is_exported_for_cuda_on_a_machine_without_it():
     arguments = (random_gaussians(n=30, degree=1), camera_at(), jnp.zeros((24, 32, 3)))
     checks = [jax.export.DisabledSafetyCheck.custom_call(symbol) for symbol in library.SYMBOLS]
-    exported = jax.export.export(jax.jit(loss_and_gradient), platforms=["cuda"], disabled_checks=checks)(
-        *arguments
-    )
+    exported = jax.export.export(jax.jit(train), platforms=["cuda"], disabled_checks=checks)(*arguments)
     assert exported.platforms == ("cuda",)

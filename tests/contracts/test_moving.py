@@ -7,8 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
+from enrolled import kernels
 from numpy.testing import assert_allclose, assert_array_equal
 
+import emulated
 from scenes import random_gaussians
 from splatax import backends
 from splatax.backends import cpu
@@ -26,15 +28,12 @@ N, LIVING, EXTENT = 75, 70, 3.0  # not a multiple of the sixteen rows that nativ
 ADAM = Rule(0.9, 0.999, 1e-15)
 FULL = replace(ADAM, opacity=0.3, scale=0.7, noise=5e5)
 KEY = jax.random.key(5)
-MOVING = ["xla", "cpu-avx512", "cpu-avx2", "cpu-baseline"]
+MOVING = ["xla", "cuda", emulated.NAME, "cpu-avx512", "cpu-avx2", "cpu-baseline"]
 
 
 @pytest.fixture(params=MOVING)
 def move(request):
-    reason = backends.why_unavailable(request.param)
-    if reason is not None:
-        pytest.skip(reason)
-    return jax.jit(backends.resolve(request.param).move, static_argnames=("rule", "block"))
+    return jax.jit(kernels(request.param).move, static_argnames=("rule", "block"))
 
 
 def scene(rows=N, seed=0):
@@ -118,7 +117,7 @@ def test_moves_as_numpy_does_and_native_code_to_the_bit(move, request, each):
     found = jax.tree.leaves(move(gaussians, gradients, moments, at, rule=ADAM, block=N))
     expected = adam_of_numpy(gaussians, gradients, moments, at, ADAM)
     for name, a, b in zip(ARRAYS * 3, found, expected, strict=True):
-        if "cpu" in request.node.name:
+        if "xla" not in request.node.name:
             assert_array_equal(a, b, err_msg=name)
         else:
             assert_allclose(a, b, rtol=2e-6, atol=1e-7, err_msg=name)

@@ -1,70 +1,45 @@
-"""Other rasterizers on the same arrays, where they are installed. It has run with none of them yet."""
+"""Other rasterizers on the same scenes, where they are installed. None of them can fail the check."""
 
 import importlib.util
+import json
+import subprocess
+import sys
 from typing import Any
 
-import numpy as np
+from gpu_check.plan import Plan, environment
 
-from gpu_check.plan import Plan
-from splatax.bench.scenes import procedural
+NEEDS = {"gsplat": ("torch", "gsplat"), "splax": ("splax",)}
+ON_CPU = {"gsplat": {"JAX_PLATFORMS": "cpu"}}  # where torch is to have the GPU's memory for itself
+MOST_SECONDS = 90  # for one program; building its kernels may take longer
+SHOWN = 300  # characters of an error
 
 
 def others(plan: Plan) -> dict[str, Any]:
-    """Times gsplat on the scenes of `speed.scenes`."""
-    if plan.emulated or not all(importlib.util.find_spec(name) for name in ("torch", "gsplat")):
-        return {"gsplat": "it needs a GPU" if plan.emulated else "not installed"}
-    return {f"gsplat, {count:,}": gsplat(plan, count) for count in plan.counts}
+    """Times each program on the scenes of `speed.scenes`; tells in a line why one has no times."""
+    return {name: "it needs a GPU" if plan.emulated else measured(name, plan) for name in NEEDS}
 
 
-def gsplat(plan: Plan, count: int) -> dict[str, float]:
-    """Returns the median milliseconds of a frame, and of a frame with the gradient of a sum over it."""
-    import torch
-    from gsplat import rasterization
-
-    scene = procedural(count, plan.size)
-    gaussians, camera = scene.gaussians, scene.camera
-
-    def tensor(array, gradient=True):
-        return torch.tensor(np.asarray(array), device="cuda").requires_grad_(gradient)
-
-    fields = [tensor(leaf) for leaf in (gaussians.means, gaussians.quats, gaussians.log_scales)]
-    logits, sh = tensor(gaussians.opacity_logits), tensor(gaussians.sh)
-    intrinsics = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]], np.float32)
-    pose, lens = tensor(camera.cam_from_world, False)[None], tensor(intrinsics, False)[None]
-    leaves = (*fields, logits, sh)
-
-    def draw():
-        means, quats, log_scales = fields
-        return rasterization(
-            means,
-            quats,
-            log_scales.exp(),
-            logits.sigmoid(),
-            sh,
-            pose,
-            lens,
-            *plan.size,
-            sh_degree=3,
-            packed=False,
-        )[0]
-
-    def frame():
-        with torch.no_grad():
-            draw()
-
-    def with_gradient():
-        torch.autograd.grad(draw().sum(), leaves)
-
-    def median(operation):
-        operation()
-        times = []
-        for _ in range(plan.rounds):
-            begin, end = (torch.cuda.Event(enable_timing=True) for _ in range(2))
-            begin.record()
-            operation()
-            end.record()
-            torch.cuda.synchronize()
-            times.append(begin.elapsed_time(end))
-        return float(np.median(times))
-
-    return {"render": median(frame), "render F+B": median(with_gradient)}
+def measured(name: str, plan: Plan) -> Any:
+    """Returns what `gpu_check.rivals` measures in a process of its own, or why it does not."""
+    missing = [package for package in NEEDS[name] if importlib.util.find_spec(package) is None]
+    if missing:
+        return f"not installed: {', '.join(missing)}"
+    numbers = (*plan.size, plan.rounds, *plan.counts)
+    command = [sys.executable, "-m", "gpu_check.rivals", name, *map(str, numbers)]
+    variables = environment(**ON_CPU.get(name, {}))
+    try:
+        done = subprocess.run(
+            command, env=variables, capture_output=True, text=True, timeout=MOST_SECONDS, check=False
+        )
+        said, error = done.stdout, done.stderr.strip()
+        ended = f"ended with {done.returncode}" if done.returncode else ""
+    except subprocess.TimeoutExpired as stopped:
+        said, error = (stopped.stdout or b"").decode(), ""
+        ended = f"stopped after {MOST_SECONDS} s"
+    found: dict[str, Any] = {}
+    for line in said.splitlines():
+        if line.startswith("{"):  # packages print lines of their own
+            found |= json.loads(line)
+    if ended:
+        found["not measured"] = " ".join(f"{ended}: {error[-SHOWN:]}".split())
+    return found

@@ -49,9 +49,9 @@ void open_driver(const char* path) {
     throw Failure("NVIDIA's driver has no function " #name "; a driver for CUDA 12 or newer does"); \
   }
   FIND(cuInit) FIND(cuGetErrorName) FIND(cuLibraryLoadData) FIND(cuLibraryGetKernel) FIND(cuLaunchKernel)
-  FIND(cuMemsetD8Async) FIND(cuMemcpyDtoHAsync_v2) FIND(cuMemHostAlloc) FIND(cuStreamSynchronize)
-  FIND(cuStreamGetCtx) FIND(cuCtxPushCurrent_v2) FIND(cuCtxPopCurrent_v2) FIND(cuCtxGetDevice)
-  FIND(cuDeviceGetAttribute) FIND(cuEventCreate) FIND(cuEventRecord) FIND(cuEventSynchronize)
+  FIND(cuMemsetD8Async) FIND(cuMemcpyDtoDAsync_v2) FIND(cuMemcpyDtoHAsync_v2) FIND(cuMemHostAlloc)
+  FIND(cuStreamSynchronize) FIND(cuStreamGetCtx) FIND(cuCtxPushCurrent_v2) FIND(cuCtxPopCurrent_v2)
+  FIND(cuCtxGetDevice) FIND(cuDeviceGetAttribute) FIND(cuEventCreate) FIND(cuEventRecord) FIND(cuEventSynchronize)
   FIND(cuEventElapsedTime) FIND(cuEventDestroy_v2)
 #undef FIND
   functions = found;

@@ -21,6 +21,7 @@ struct Driver {
   int (*cuLaunchKernel)(Handle, unsigned, unsigned, unsigned, unsigned, unsigned, unsigned, unsigned, Handle, void**,
                         void**);
   int (*cuMemsetD8Async)(Address, unsigned char, size_t, Handle);
+  int (*cuMemcpyDtoDAsync_v2)(Address, Address, size_t, Handle);
   int (*cuMemcpyDtoHAsync_v2)(void*, Address, size_t, Handle);
   int (*cuMemHostAlloc)(void**, size_t, unsigned);
   int (*cuStreamSynchronize)(Handle);

@@ -68,6 +68,12 @@ class Work {
     if (bytes) check(driver().cuMemsetD8Async(reinterpret_cast<Address>(at), 0, bytes, stream_), "cuMemsetD8Async");
   }
 
+  void copy(void* to, const void* from, size_t bytes) {
+    if (!bytes || to == from) return;
+    const auto address = [](const void* at) { return reinterpret_cast<Address>(at); };
+    check(driver().cuMemcpyDtoDAsync_v2(address(to), address(from), bytes, stream_), "cuMemcpyDtoDAsync");
+  }
+
   // Copies numbers to the host, after all work that is queued.
   std::vector<uint32_t> read(const uint32_t* at, size_t count);
 

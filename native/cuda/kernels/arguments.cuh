@@ -114,6 +114,38 @@ struct GaussianGradients {
   float* camera_parts;  // [block][CAMERA_FIELDS]
 };
 
+// Numbers of a training step, as splatax/backends/packed_steps.py packs them.
+enum MoveNumber {
+  GOOD,  // 0 if nothing may move
+  MEAN_DECAY, MEAN_REST,  // REST is 1 - DECAY, rounded from double precision
+  SQUARE_DECAY, SQUARE_REST,
+  EPSILON,
+  MEAN_CORRECTION, SQUARE_CORRECTION,  // 1 / (1 - DECAY^t)
+  QUATS_RATE, LOG_SCALES_RATE, OPACITY_LOGITS_RATE,
+  OPACITY_WEIGHT, SCALE_WEIGHT,  // of each opacity and of each scale in the loss
+  NOISE_STRENGTH,
+  PER_EXTENT,  // 1 / extent of the scene
+  MOVE_NUMBERS
+};
+
+// Fields of a scene, of its gradients, or of moments.
+template <class Number>
+struct Fields {
+  Number *means, *quats, *log_scales, *opacity_logits, *sh;
+};
+
+// A training step of the rows of a scene, in place.
+struct Move {
+  const float* numbers;     // [MOVE_NUMBERS]
+  const float* mean_rates;  // one, or one for each row
+  const float *sh_rates, *sh_free;  // for each coefficient; 0 where it is not learned yet
+  const uint32_t* keys;             // two words for each block of rows
+  int count, coefficients, rows_of_key;
+  bool rate_for_each_row;
+  Fields<const float> gradients;
+  Fields<float> scene, mean, square;
+};
+
 // An image and a photo, [height width channels].
 struct Pictures {
   const float *image, *photo;

@@ -3,6 +3,7 @@
 #include "blending.cuh"
 #include "gradient.cuh"
 #include "records.cuh"
+#include "moving.cuh"
 #include "photometric.cuh"
 #include "projection.cuh"
 #include "projection_gradient.cuh"

@@ -3,21 +3,18 @@
 from dataclasses import dataclass
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from splatax.backends.cpu.library import Build
 from splatax.backends.cpu.projection import NativeProjection, projections
 from splatax.backends.packed_cameras import Layout, packed
+from splatax.backends.packed_steps import FIELDS, PLACES, inputs
 from splatax.backends.projection_kernels import Settings, kernel_for
 from splatax.backends.protocol import Move, Project, PulledView
 from splatax.cameras import Camera
-from splatax.gaussians import ARRAYS, Gaussians
+from splatax.gaussians import Gaussians
 from splatax.low_pass import AlongRays, LowPass
-from splatax.moving import Moments, Rule, Step, checked, corrections, prior_weights
-
-FIELDS = len(ARRAYS)
+from splatax.moving import Moments, Rule, Step, checked
 
 
 def move(
@@ -37,14 +34,13 @@ def move(
         ValueError: if arrays do not fit together.
     """
     checked(gaussians, gradients, moments, step, block)
-    arrays = [*jax.tree.leaves((gaussians, gradients, moments)), *_inputs(step, rule)]
+    arrays = [*jax.tree.leaves((gaussians, gradients, moments)), *inputs(step, rule)]
     shapes = [leaf.shape for leaf in jax.tree.leaves((gaussians, moments))]
-    places = [*range(FIELDS), *range(2 * FIELDS, 4 * FIELDS)]  # all of them but the gradients
     moved = build.call(
         "splatax_move",
         shapes,
         arrays,
-        aliases=dict(zip(places, range(len(places)), strict=True)),
+        aliases=PLACES,
         block=np.int64(block),
     )
     structure = jax.tree.structure((gaussians, moments))
@@ -87,7 +83,7 @@ class NativePullAndMove:
             view.splats.extents,
             *cotangents,
             *jax.tree.leaves(moments),
-            *_inputs(step, rule),
+            *inputs(step, rule),
         ]
         shapes = [leaf.shape for leaf in jax.tree.leaves((gaussians, moments))]
         *moved, d_camera = self.build.call(
@@ -102,37 +98,3 @@ class NativePullAndMove:
         )
         scene, averages = jax.tree.unflatten(jax.tree.structure((gaussians, moments)), moved)
         return scene, averages, jax.vjp(packed, view.camera)[1](d_camera)[0]
-
-
-def _inputs(step: Step, rule: Rule) -> list[Array]:
-    """Returns the arguments of the kernel that are no fields of a scene."""
-    rates = step.rates
-    return [
-        _numbers(step, rule),
-        rates.means[:, 0],
-        rates.sh[0, :, 0],
-        step.free.astype(jnp.float32),
-        step.keys,
-    ]
-
-
-def _numbers(step: Step, rule: Rule) -> Float[Array, "15"]:
-    """Returns the numbers of a step in the order of `MoveNumber` in native/cpu/moving.h."""
-    opacity, scale = prior_weights(step, rule)
-    numbers = [
-        step.good,
-        rule.b1,
-        1 - rule.b1,
-        rule.b2,
-        1 - rule.b2,
-        rule.eps,
-        *corrections(step, rule),
-        step.rates.quats[0, 0],
-        step.rates.log_scales[0, 0],
-        step.rates.opacity_logits[0],
-        opacity if rule.opacity else 0.0,
-        scale if rule.scale else 0.0,
-        rule.noise,
-        1 / step.extent if rule.noise else 0.0,
-    ]
-    return jnp.stack([jnp.asarray(number).astype(jnp.float32) for number in numbers])

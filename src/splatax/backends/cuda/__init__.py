@@ -8,11 +8,12 @@ the CPU, where the same handlers and kernels run under an emulation.
 from collections.abc import Callable
 from functools import partial
 
-from splatax import moving, surfaces
+from splatax import surfaces
 from splatax.backends import fused_loss, projection_kernels
 from splatax.backends.cuda import nvidia
 from splatax.backends.cuda.composite import MAX_PAIRS, composite
 from splatax.backends.cuda.library import Library
+from splatax.backends.cuda.moving import move
 from splatax.backends.cuda.photometric import with_gradient
 from splatax.backends.cuda.projection import GpuProjection
 from splatax.backends.portable.select import select
@@ -40,7 +41,7 @@ def kernels(
         composite=partial(composite, library=library, max_pairs=max_pairs),
         select=select,
         photometric=partial(fused_loss.photometric, kernel=partial(with_gradient, library=library)),
-        move=moving.move,
+        move=partial(move, library=library),
         planes=surfaces.planes,
         why_unavailable=why_unavailable,
         dtypes=("float32",),

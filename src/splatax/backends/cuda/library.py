@@ -1,7 +1,7 @@
 """Calls the handlers of the CUDA backend (C++, in `native/cuda/` of the repository) from JAX."""
 
 import ctypes
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -19,6 +19,7 @@ SYMBOLS = (
     "splatax_cuda_project",
     "splatax_cuda_project_gradient",
     "splatax_cuda_photometric",
+    "splatax_cuda_move",
 )
 
 
@@ -41,11 +42,13 @@ class Library:
         symbol: str,
         shapes: Sequence[foreign.Shape],
         arrays: Sequence[Array],
+        aliases: Mapping[int, int] | None = None,
+        /,
         **options: np.int64 | np.float32,
     ) -> Sequence[Array]:
         """Calls a handler; see `splatax.backends.foreign.call`."""
         register(self)
-        return foreign.call(symbol, shapes, arrays, options)
+        return foreign.call(symbol, shapes, arrays, options, aliases=aliases)
 
 
 @cache

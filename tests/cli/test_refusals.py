@@ -29,6 +29,15 @@ def test_photos_too_small_for_a_score_are_refused_before_training(tmp_path, caps
     assert not (tmp_path / "run").exists()
 
 
+def test_a_damaged_held_out_photo_is_refused_before_training(tmp_path, capsys):
+    capture = write_capture(tmp_path / "capture")
+    path = capture / "images" / "photo04.png"
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    message = refused(capsys, "train", capture, "--out", tmp_path / "run", "--steps", 2)
+    assert f"{path}: the photo is damaged" in message
+    assert "Training is saved" not in message
+
+
 def without_model(capture):
     shutil.rmtree(capture / "sparse")
     return f"{capture}"

@@ -274,7 +274,9 @@ def test_photo_missing_on_disk(capture):
 def test_several_photos_missing_on_disk(capture):
     for name in ("photo03.png", "photo05.png"):
         (capture / "images" / name).unlink()
-    message = r"2 photos are missing \(photo03.png, photo05.png\), .* has them .* Put them back, or remove them"
+    message = (
+        r"2 photos are missing \(photo03.png, photo05.png\), .* has them .* Put them back, or remove them"
+    )
     refuse(capture, match=message, names="photo03.png")
 
 
@@ -297,7 +299,9 @@ def test_names_with_spaces_in_a_text_model_are_whole(tmp_path):
         name = f"my photos/no {number}.png"
         photo.rename(capture / "images" / name)
         path.write_text(path.read_text().replace(photo.name, name))
-    assert [view.name for view in sx.load_dataset(capture).views] == [f"my photos/no {i}.png" for i in range(9)]
+    assert [view.name for view in sx.load_dataset(capture).views] == [
+        f"my photos/no {i}.png" for i in range(9)
+    ]
 
 
 def test_names_in_test_txt_without_a_photo_are_said(capture):

@@ -74,7 +74,9 @@ def photos_in(folder: Path, panoramas: Panoramas = "auto") -> tuple[list[Photo],
         try:
             saved = name_in_capture(names.checked(name, folder))
             if saved != name and saved in present:
-                raise DatasetError(f"it would be saved as {shown(saved)}, as another photo. Rename one of them")
+                raise DatasetError(
+                    f"it would be saved as {shown(saved)}, as another photo. Rename one of them"
+                )
             photos.append(photo_of(saved, path, panoramas))
         except DatasetError as error:
             damaged[shown(name)] = f"cannot be read: {error}"

@@ -15,7 +15,14 @@ from splatax.reconstruction.panoramas import Panoramas, looks_like_one, says_so
 
 COMMON = {".jpg", ".jpeg", ".png"}  # suffixes of formats that all tools read
 HEIF = {".heic", ".heif"}
-UNREAD = frozenset(".gif .avif .jxl .jp2 .psd .dng .cr2 .cr3 .nef .arw .raf .orf .rw2 .pef .srw".split())
+UNREAD = {
+    ".gif",
+    ".avif",
+    ".jxl",
+    ".jp2",
+    ".psd",
+}  # photos in formats that are not read, and those of raw data
+UNREAD |= {".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw"}
 LOSSLESS = {".png", ".bmp", ".tif", ".tiff"}
 UNREADABLE = "cannot be read: not a format that splatax knows. Save it as JPEG or PNG"
 DIAGONAL_35MM = float(np.hypot(36, 24))  # mm; the 35 mm equivalent refers to the diagonal (CIPA DCG-001)

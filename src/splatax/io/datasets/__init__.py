@@ -110,7 +110,8 @@ def split(dataset: Dataset, folder: Path, rule: HoldOut | None) -> Dataset:
     held_out, every = photos_in(dataset.test), photos_in(dataset.views)
     note = f"{held_out} of {counted(every)} held out for testing: {dataset.split}"
     if not held_out and rule == Every():
-        note = f"no photo is held out: {counted(every)} {'is' if every == 1 else 'are'} too few, so all are trained on"
+        are = "is" if every == 1 else "are"
+        note = f"no photo is held out: {counted(every)} {are} too few, so all are trained on"
     elif not held_out:
         note = "no photo is held out, so all are trained on"
     notes = [*dataset.notes, note]

@@ -193,8 +193,8 @@ def photos_of(registered: "dict[str, pycolmap.Image]", folder: Path) -> dict[str
         if len(missing) > 1:
             which, them = f"{len(missing)} photos are missing ({photos.listed(missing)})", "them"
         raise DatasetError(
-            f"{folder / missing[0]}: {which}, but the COLMAP model has {them} registered. Put {them} back, or "
-            f"remove {them} from the model (colmap image_deleter)."
+            f"{folder / missing[0]}: {which}, but the COLMAP model has {them} registered. Put {them} back, "
+            f"or remove {them} from the model (colmap image_deleter)."
         )
     return {name: path for name, path in found.items() if path is not None}
 

@@ -108,6 +108,22 @@ def evaluate(
     return scores_of(views, [score for score, *_ in compared(gaussians, views, renderer, lpips)])
 
 
+def require_scorable(views: Iterable[View]) -> None:
+    """Checks the sizes of photos to score, so that hours of training do not end in an error.
+
+    Raises:
+        DatasetError: if a photo is too small to be compared.
+    """
+    for view in views:
+        width, height = view.camera.width, view.camera.height
+        if min(width, height) < metrics.WINDOW:
+            raise DatasetError(
+                f"{view.name}: {width} x {height} pixels are too few for a score, which needs at least "
+                f"{metrics.WINDOW} x {metrics.WINDOW}. Load larger photos, or hold out others.",
+                options=("downscale", "hold_out"),
+            )
+
+
 def scores_of(views: Iterable[View], scores: Iterable[ViewScore]) -> Scores:
     """Returns the scores of photos. The faces of a 360-degree photo have one, of all of their pixels.
 

@@ -21,6 +21,23 @@ def refused(capsys, *arguments) -> str:
     return error
 
 
+def test_photos_too_small_for_a_score_are_refused_before_training(tmp_path, capsys):
+    capture = write_capture(tmp_path / "capture")
+    message = refused(capsys, "train", capture, "--out", tmp_path / "run", "--steps", 2, "--downscale", 8)
+    assert "photo04.png: 8 x 6 pixels are too few for a score, which needs at least 11 x 11" in message
+    assert "See --downscale, --hold-out" in message
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_damaged_held_out_photo_is_refused_before_training(tmp_path, capsys):
+    capture = write_capture(tmp_path / "capture")
+    path = capture / "images" / "photo04.png"
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    message = refused(capsys, "train", capture, "--out", tmp_path / "run", "--steps", 2)
+    assert f"{path}: the photo is damaged" in message
+    assert "Training is saved" not in message
+
+
 def without_model(capture):
     shutil.rmtree(capture / "sparse")
     return f"{capture}"

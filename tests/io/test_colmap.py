@@ -271,6 +271,45 @@ def test_photo_missing_on_disk(capture):
     refuse(capture, match="the photo is missing, but the COLMAP model has it", names="photo03.png")
 
 
+def test_several_photos_missing_on_disk(capture):
+    for name in ("photo03.png", "photo05.png"):
+        (capture / "images" / name).unlink()
+    message = (
+        r"2 photos are missing \(photo03.png, photo05.png\), .* has them .* Put them back, or remove them"
+    )
+    refuse(capture, match=message, names="photo03.png")
+
+
+def test_a_link_to_a_photo_that_is_gone_is_a_missing_photo(capture):
+    (capture / "images" / "photo03.png").unlink()
+    (capture / "images" / "photo03.png").symlink_to(capture / "gone.png")
+    refuse(capture, match="the photo is missing", names="photo03.png")
+
+
+def test_an_empty_file_is_called_empty(capture):
+    (capture / "images" / "photo03.png").write_bytes(b"")
+    refuse(capture, match="an empty file, not a photo. Restore it", names="photo03.png")
+
+
+def test_names_with_spaces_in_a_text_model_are_whole(tmp_path):
+    capture = write_capture(tmp_path / "capture", text=True)
+    (capture / "images" / "my photos").mkdir()
+    path = capture / "sparse" / "0" / "images.txt"
+    for number, photo in enumerate(sorted((capture / "images").glob("*.png"))):
+        name = f"my photos/no {number}.png"
+        photo.rename(capture / "images" / name)
+        path.write_text(path.read_text().replace(photo.name, name))
+    assert [view.name for view in sx.load_dataset(capture).views] == [
+        f"my photos/no {i}.png" for i in range(9)
+    ]
+
+
+def test_names_in_test_txt_without_a_photo_are_said(capture):
+    (capture / "test.txt").write_text("photo02.png\nphoto77.png\n")
+    notes = " ".join(sx.load_dataset(capture).notes)
+    assert "test.txt names 1 photo that has no pose or is not there: photo77.png" in notes
+
+
 def test_no_folder_of_photos(capture):
     shutil.rmtree(capture / "images")
     refuse(capture, match="no folder of photos", names=capture / "images")

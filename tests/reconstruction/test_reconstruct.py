@@ -238,6 +238,32 @@ def test_pngs_without_pixels_are_left_out_with_the_reason(tmp_path, size, why):
     assert why in damaged["broken.png"]
 
 
+def test_photos_in_unknown_formats_are_named_unless_a_copy_can_be_read(tmp_path):
+    for name in ("a.GIF", "raw/b.dng", "c.jpg", "c.CR2", "notes.txt", ".hidden.gif"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(b"x")
+    Image.new("RGB", (64, 48)).save(tmp_path / "c.jpg")
+    found, rejected = pipeline.photos_in(tmp_path)
+    assert [photo.name for photo in found] == ["c.jpg"]
+    assert list(rejected) == ["a.GIF", "raw/b.dng"]
+    assert all("Save it as JPEG or PNG" in reason for reason in rejected.values())
+
+
+def test_a_folder_of_photos_in_unknown_formats_says_so(tmp_path):
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "a.dng").write_bytes(b"x")
+    with pytest.raises(DatasetError, match=r"1 photo in formats .*: a.dng. Save them as JPEG or PNG"):
+        reconstruct(tmp_path / "photos", tmp_path / "capture")
+
+
+def test_two_photos_that_would_get_one_name_are_not_written_over_each_other(tmp_path):
+    for name, kind in (("a.tif", "TIFF"), ("a.tif.png", "PNG")):
+        Image.new("RGB", (64, 48)).save(tmp_path / name, kind)
+    found, rejected = pipeline.photos_in(tmp_path)
+    assert [photo.name for photo in found] == ["a.tif.png"]
+    assert "saved as a.tif.png, as another photo. Rename one of them" in rejected["a.tif"]
+
+
 @pytest.mark.parametrize("count", [1, 2])
 def test_one_or_two_photos_are_too_few(photos, tmp_path, count):
     (tmp_path / "photos").mkdir()

@@ -141,9 +141,9 @@ class Create:
             return trial
         dataset = load_scene(capture, self.limits.downscale)
         if not dataset.test:
-            say(
-                f"{counted(photos_in(dataset.views))} are too few to hold some out, so the scene has no score"
-            )
+            every = photos_in(dataset.views)
+            are = "is" if every == 1 else "are"
+            say(f"{counted(every)} {are} too few to hold some out, so the scene has no score")
             return None
         unseen = f"{photos_in(dataset.test)} of {counted(photos_in(dataset.views))}"
         say(f"trial run without {unseen}, which tell how good a scene of these photos is")

@@ -22,6 +22,7 @@ from splatax.cli.train_options import Live
 from splatax.cli.view import audience
 from splatax.dataset import Dataset
 from splatax.errors import InputError
+from splatax.evaluation import require_scorable
 from splatax.report import held_out
 from splatax.runs.budget import Changes, Clock
 from splatax.runs.checkpoints import Checkpoints, NoCheckpoints
@@ -30,7 +31,7 @@ from splatax.runs.finished import FinishedRun, read_runs
 from splatax.runs.history import History
 from splatax.runs.keeping import with_photos_kept
 from splatax.runs.planning import Room
-from splatax.runs.results import Results
+from splatax.runs.results import Results, examples
 from splatax.runs.resume import facts
 from splatax.runs.session import Session, WorkerSession, all_made
 from splatax.training.loop import RunState
@@ -73,6 +74,7 @@ def lead(run: Run, live: Live) -> None:
     dataset = loaded(run.settings)
     for note in dataset.notes:
         say(note)
+    require_scorable(dataset.test or examples(dataset.train))
     with claimed_for_run(run.out, run.may_replace):
         decided = run.decided(dataset)
         send_settings(decided.settings)

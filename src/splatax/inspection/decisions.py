@@ -11,7 +11,6 @@ from jaxtyping import Float
 from splatax.cameras import Camera
 from splatax.cameras.geometry import seen_at
 from splatax.dataset import Dataset, Pixels, View, by_photo, photos_in
-from splatax.errors import InputError
 from splatax.inspection.looks import (
     LONGEST_SIDE,
     LUMINANCE,
@@ -84,6 +83,9 @@ def look_first(dataset: Dataset) -> Findings:
 
     Args:
         dataset: the capture. Photos without a file (`Survey.files`) are not looked at.
+
+    Raises:
+        DatasetError: if a photo is damaged, before hours of training end with that.
     """
     chosen = np.random.default_rng(0).permutation(len(dataset.points))[:SAMPLES]
     points = dataset.points.positions[chosen].astype(np.float64)
@@ -104,10 +106,7 @@ def sights_of(dataset: Dataset, points: Float[np.ndarray, "n 3"], deadline: floa
     def sight_in_time(name: str) -> Sight | None:
         if time.monotonic() >= deadline:
             return None
-        try:
-            return sight_of(views[name], images.glance(dataset.survey.files[name], LONGEST_SIDE), points)
-        except (InputError, OSError):
-            return None  # reported when training reads the photo
+        return sight_of(views[name], images.glance(dataset.survey.files[name], LONGEST_SIDE), points)
 
     names = list(spread(sorted(views.keys() & dataset.survey.files.keys())))
     with ThreadPoolExecutor(WORKERS) as pool:

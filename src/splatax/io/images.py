@@ -209,18 +209,20 @@ def opened(
         raise DatasetError(f"{path}: no such {what}.")
     with path.open("rb") as file:
         with blamed_on(path, f"not a {what} that can be read", way_out, DatasetError):
-            image = _identified(path, file, what)
+            image = _identified(path, file, what, way_out)
         with blamed_on(path, f"the {what} is damaged", way_out, DatasetError), image:
             yield image
 
 
-def _identified(path: Path, file: BinaryIO, what: str) -> "Image.Image":
+def _identified(path: Path, file: BinaryIO, what: str, way_out: str) -> "Image.Image":
     """Opens a picture as `PIL.Image.open` does, without its limit of pixels; see the top of this file."""
     # Importing a plugin registers it.
     from PIL import BmpImagePlugin, Image, JpegImagePlugin, PngImagePlugin, TiffImagePlugin, WebPImagePlugin
 
     del BmpImagePlugin, JpegImagePlugin, PngImagePlugin, TiffImagePlugin, WebPImagePlugin
     prefix = file.read(16)
+    if not prefix:
+        raise DatasetError(f"{path}: an empty file, not a {what}. {way_out}")
     for name in FORMATS:
         factory, accept = Image.OPEN.get(name, (None, None))
         if factory is not None and (accept is None or accept(prefix) is True):

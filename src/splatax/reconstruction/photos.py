@@ -1,6 +1,7 @@
 """Finds the photos to reconstruct from, reads them upright, and reads their lens and device from EXIF."""
 
 import shutil
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +15,16 @@ from splatax.reconstruction.panoramas import Panoramas, looks_like_one, says_so
 
 COMMON = {".jpg", ".jpeg", ".png"}  # suffixes of formats that all tools read
 HEIF = {".heic", ".heif"}
+UNREAD = {
+    ".gif",
+    ".avif",
+    ".jxl",
+    ".jp2",
+    ".psd",
+}  # photos in formats that are not read, and those of raw data
+UNREAD |= {".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw"}
 LOSSLESS = {".png", ".bmp", ".tif", ".tiff"}
+UNREADABLE = "cannot be read: not a format that splatax knows. Save it as JPEG or PNG"
 DIAGONAL_35MM = float(np.hypot(36, 24))  # mm; the 35 mm equivalent refers to the diagonal (CIPA DCG-001)
 MM_PER_UNIT = {2: 25.4, 3: 10.0}  # EXIF's FocalPlaneResolutionUnit: inch, centimetre
 MAKE, MODEL, EXIF = 0x010F, 0x0110, 0x8769
@@ -59,17 +69,37 @@ def photos_in(folder: Path, panoramas: Panoramas = "auto") -> tuple[list[Photo],
     Raises:
         InputError: if there is a HEIC photo, and the package that reads it is not installed.
     """
-    paths = sorted(path for path in folder.rglob("*") if path.is_file() and is_photo(path))
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    paths = sorted(path for path in files if is_photo(path))
     if any(path.suffix.lower() in HEIF for path in paths):
         learn_heif(next(path for path in paths if path.suffix.lower() in HEIF))
-    photos, damaged = [], {}
+    photos: list[Photo] = []
+    damaged = {shown(path.relative_to(folder).as_posix()): UNREADABLE for path in unread(files, paths)}
+    present = {path.relative_to(folder).as_posix() for path in paths}
     for path in paths:
         name = path.relative_to(folder).as_posix()
         try:
-            photos.append(photo_of(name_in_capture(names.checked(name, folder)), path, panoramas))
+            saved = name_in_capture(names.checked(name, folder))
+            if saved != name and saved in present:
+                raise DatasetError(
+                    f"it would be saved as {shown(saved)}, as another photo. Rename one of them"
+                )
+            photos.append(photo_of(saved, path, panoramas))
         except DatasetError as error:
             damaged[shown(name)] = f"cannot be read: {error}"
     return photos, damaged
+
+
+def unread(files: Sequence[Path], photos: Sequence[Path]) -> list[Path]:
+    """Returns the files that are photos in other formats, unless the same photo is there in a known one.
+
+    Args:
+        files: all files of a folder.
+        photos: those in a known format.
+    """
+    known = {path.with_suffix("") for path in photos}
+    other = (path for path in files if path.suffix.lower() in UNREAD and not path.name.startswith("."))
+    return sorted(path for path in other if path.with_suffix("") not in known)
 
 
 def is_photo(path: Path) -> bool:

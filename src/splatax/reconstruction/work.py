@@ -7,8 +7,9 @@ from pathlib import Path
 
 from splatax.errors import DatasetError, InputError
 from splatax.io.damage import blamed_on
+from splatax.io.datasets.photos import counted, listed
 from splatax.io.files import write_whole
-from splatax.reconstruction.photos import is_photo
+from splatax.reconstruction.photos import is_photo, unread
 from splatax.reconstruction.video import is_video
 
 RESULTS = ("sparse", "images")
@@ -60,6 +61,11 @@ def fingerprint(source: Path) -> str:
     if source.is_dir():
         paths = sorted(path for path in source.rglob("*") if path.is_file() and is_photo(path))
         if not paths:
+            if other := unread([path for path in source.rglob("*") if path.is_file()], []):
+                raise DatasetError(
+                    f"{source}: {counted(len(other))} in formats that splatax does not know: "
+                    f"{listed(path.name for path in other)}. Save them as JPEG or PNG."
+                )
             raise DatasetError(
                 f"{source}: no photos in this folder. Give the folder they are in, or a video."
             )

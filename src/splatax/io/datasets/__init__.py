@@ -30,7 +30,7 @@ from splatax.io.datasets import (
 )
 from splatax.io.datasets.assembly import dataset_of
 from splatax.io.datasets.colmap_writing import PLACE
-from splatax.io.datasets.photos import counted
+from splatax.io.datasets.photos import counted, listed
 from splatax.splits import Every, HoldOut, Listed, listed_in, matched
 
 DATASETS: dict[str, ModuleType] = {  # the first that recognises a folder reads it
@@ -100,36 +100,46 @@ def split(dataset: Dataset, folder: Path, rule: HoldOut | None) -> Dataset:
         DatasetError: if the capture's list of test photos names none of its photos.
         InputError: if the rule names a photo that is not there, or leaves none to train on.
     """
+    unknown: tuple[str, ...] = ()
     if rule is None and not dataset.split:
         names = [name for view in dataset.views for name in (view.name, view.photo)]
-        rule = own_list(folder, list(dict.fromkeys(names))) or Every()
+        listed_ones, unknown = own_list(folder, list(dict.fromkeys(names)))
+        rule = listed_ones or Every()
     if rule is not None:
         dataset = resplit(dataset, rule)
     held_out, every = photos_in(dataset.test), photos_in(dataset.views)
     note = f"{held_out} of {counted(every)} held out for testing: {dataset.split}"
     if not held_out and rule == Every():
-        note = f"no photo is held out: {counted(every)} are too few, so all are trained on"
+        are = "is" if every == 1 else "are"
+        note = f"no photo is held out: {counted(every)} {are} too few, so all are trained on"
     elif not held_out:
         note = "no photo is held out, so all are trained on"
-    return replace(dataset, notes=(*dataset.notes, note))
+    notes = [*dataset.notes, note]
+    if unknown:
+        them = "that has no pose or is" if len(unknown) == 1 else "that have no pose or are"
+        notes.append(f"{TEST_LIST} names {counted(len(unknown))} {them} not there: {listed(unknown)}")
+    return replace(dataset, notes=tuple(notes))
 
 
-def own_list(folder: Path, names: Sequence[str]) -> Listed | None:
-    """Returns the photos that a capture's test.txt holds out, those with a pose; None without such a file.
+def own_list(folder: Path, names: Sequence[str]) -> tuple[Listed | None, tuple[str, ...]]:
+    """Returns the photos that a capture's test.txt holds out, and the names in it that none with a pose has.
+
+    Without such a file, the first is None.
 
     Raises:
         DatasetError: if it names none of the photos.
     """
     for path in (folder / TEST_LIST, folder / PLACE / TEST_LIST):
         if path.is_file():
-            listed = matched(listed_in(str(path)), names)
-            if not listed:
+            wanted = listed_in(str(path))
+            if not (found := matched(wanted, names)):
                 raise DatasetError(
                     f"{path}: names none of the photos with a pose, which are {shown(names[0])} to "
                     f"{shown(names[-1])}. Correct the list, or remove it."
                 )
-            return Listed(tuple(listed.values()), path.name)
-    return None
+            unknown = tuple(name for name in wanted if name not in found)
+            return Listed(tuple(dict.fromkeys(found.values())), path.name), unknown
+    return None, ()
 
 
 def is_capture(path: Path) -> bool:

@@ -19,7 +19,7 @@ from splatax.io import images
 from splatax.io.damage import blamed_on
 from splatax.io.datasets import names, photos
 from splatax.io.datasets.capture import Capture, Frame, always
-from splatax.io.datasets.colmap_files import check_whole
+from splatax.io.datasets.colmap_files import check_whole, names_with_spaces
 from splatax.io.datasets.reprojection import reprojection_errors
 
 if TYPE_CHECKING:
@@ -96,9 +96,12 @@ def read_model(folder: Path) -> "pycolmap.Reconstruction":
     way_out = "Copy it again, or run COLMAP again."
     with blamed_on(folder, "the COLMAP model is damaged", way_out, DatasetError):
         try:
-            return pycolmap.Reconstruction(folder)
+            model = pycolmap.Reconstruction(folder)
         except Exception as error:  # its messages begin with a file and line of COLMAP's source
             raise ValueError(str(error).split("] ")[-1].strip()) from error
+        for number, name in names_with_spaces(folder).items():
+            model.image(number).name = name
+        return model
 
 
 def registered_in(folder: Path, model: "pycolmap.Reconstruction") -> "dict[str, pycolmap.Image]":
@@ -186,11 +189,12 @@ def photos_of(registered: "dict[str, pycolmap.Image]", folder: Path) -> dict[str
     """
     found = {name: find_photo(folder, name) for name in registered}
     if missing := [name for name, path in found.items() if path is None]:
-        which = "the photo is missing" if len(missing) == 1 else f"{len(missing)} photos are missing"
-        also = f" ({photos.listed(missing)})" if len(missing) > 1 else ""
+        which, them = "the photo is missing", "it"
+        if len(missing) > 1:
+            which, them = f"{len(missing)} photos are missing ({photos.listed(missing)})", "them"
         raise DatasetError(
-            f"{folder / missing[0]}: {which}{also}, but the COLMAP model has it registered. Put it back, or "
-            "remove it from the model (colmap image_deleter)."
+            f"{folder / missing[0]}: {which}, but the COLMAP model has {them} registered. Put {them} back, "
+            f"or remove {them} from the model (colmap image_deleter)."
         )
     return {name: path for name, path in found.items() if path is not None}
 
@@ -200,4 +204,4 @@ def find_photo(folder: Path, name: str) -> Path | None:
     if (folder / name).is_file():
         return folder / name
     same_stem = sorted(p for p in (folder / name).parent.glob("*") if p.stem == Path(name).stem)
-    return next((p for p in same_stem if images.is_image(p)), None)
+    return next((p for p in same_stem if images.is_image(p) and p.is_file()), None)

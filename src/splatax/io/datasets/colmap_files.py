@@ -1,7 +1,8 @@
-"""Checks that COLMAP's binary files are complete before pycolmap reads them.
+"""Reads what pycolmap does not read of COLMAP's files.
 
-pycolmap reads past the end of a truncated file: it returns garbage, or never returns. The check here
-therefore steps over the records by their lengths, without reading their contents.
+pycolmap reads past the end of a truncated binary file: it returns garbage, or never returns. The check here
+therefore steps over the records by their lengths, without reading their contents. Of text files, pycolmap
+reads the name of a photo up to its first space.
 """
 
 import struct
@@ -40,6 +41,23 @@ def check_whole(model: Path) -> None:
                 f"{path}: damaged: its {len(contents):,} bytes do not hold what it announces. "
                 "Copy it again from where it was made, or run COLMAP again."
             )
+
+
+def names_with_spaces(model: Path) -> dict[int, str]:
+    """Returns the names of photos that have spaces, by the number of the image; none of a binary model."""
+    path = model / "images.txt"
+    if (model / "images.bin").exists() or not path.exists():
+        return {}
+    found = {}
+    with path.open(encoding="utf-8", errors="surrogateescape") as lines:
+        for line in lines:
+            if not line.strip() or line.lstrip().startswith("#"):
+                continue
+            number, *_, name = line.strip().split(None, 9)
+            if len(name.split()) > 1:
+                found[int(number)] = name
+            next(lines, None)  # the observations, which may be an empty line
+    return found
 
 
 def _end_of_camera(contents: bytes, start: int) -> int:

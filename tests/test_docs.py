@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 import splatax as sx
+from gsplat_arguments import ARGUMENTS, tabled_arguments
 
 ROOT = Path(__file__).parents[1]
 GENERATED = ROOT / "docs" / "reference.md"
@@ -176,3 +177,8 @@ def test_a_long_line_of_prose_is_found_and_a_long_table_code_or_link_is_not():
     link = f"https://example.org/{'a' * 120}"
     assert too_long(f"| {long} |\n```\n{long}\n```\n\n    {long}\n\n# {long}\n$$ {long} $$") == []
     assert too_long(f"- {link}\n{link}") == []
+
+
+def test_each_argument_of_gsplat_has_a_row_in_the_table():
+    assert len(ARGUMENTS) == 43
+    assert set(ARGUMENTS) <= tabled_arguments()

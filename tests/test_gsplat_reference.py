@@ -6,11 +6,14 @@ installed package, without importing it, so that nothing is compiled and no GPU 
     pip install -e '.[gsplat,test]'
     pytest tests/test_gsplat_reference.py
 
-The released package has no such function for the unscented transform. Its seven points are projected here by
-gsplat's camera functions, and their moments are taken by NumPy.
+The released package has no such function for the unscented transform. Its seven points are made of gsplat's
+ellipsoids and projected by gsplat's camera functions here. Their moments are taken by PyTorch, which also
+differentiates the whole.
 """
 
+import ast
 import importlib.util
+import types
 from pathlib import Path
 
 import jax
@@ -20,6 +23,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import splatax as sx
+from gsplat_arguments import tabled_arguments
 from scenes import camera_at, random_gaussians
 from splatax.cameras import to_opencv
 from splatax.cameras.lenses import Fisheye, Orthographic
@@ -32,20 +36,43 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip insta
 SIZE = (64, 48)
 ROUNDING = 1e-9  # of sums of products of float64 with values up to 1e3
 EPS = 1e-5  # gsplat's fisheye adds 1e-7 to lengths and squares, which are 0.1 to 1 here
+FISHEYE_EPS = "eps = 0.0000001"  # the line of gsplat's fisheye that does
 
 
 @pytest.fixture(scope="module")
-def reference():
-    """gsplat's module of reference functions."""
+def installed():
+    """The folder of the installed package."""
     package = importlib.util.find_spec("gsplat")
     if package is None or not package.submodule_search_locations:
         pytest.skip("gsplat is not installed: pip install '.[gsplat]'")
-    path = Path(package.submodule_search_locations[0]) / "cuda" / "_torch_impl.py"
+    return Path(package.submodule_search_locations[0])
+
+
+@pytest.fixture(scope="module")
+def source(installed):
+    """The text of gsplat's module of reference functions."""
+    path = installed / "cuda" / "_torch_impl.py"
     if not path.is_file():
         pytest.skip(f"this version of gsplat has no {path.name}: install gsplat 1.5")
-    spec = importlib.util.spec_from_file_location("gsplat_torch_impl", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    return path.read_text()
+
+
+@pytest.fixture(scope="module")
+def reference(source):
+    """gsplat's reference functions as they are."""
+    return module_of("gsplat_torch_impl", source)
+
+
+@pytest.fixture(scope="module")
+def exact(source):
+    """gsplat's reference functions, whose fisheye adds nothing to lengths and squares."""
+    assert source.count(FISHEYE_EPS) == 1
+    return module_of("gsplat_torch_impl_exact", source.replace(FISHEYE_EPS, "eps = 0.0"))
+
+
+def module_of(name, source):
+    module = types.ModuleType(name)
+    exec(source, module.__dict__)
     return module
 
 
@@ -94,33 +121,16 @@ def ours(scene, camera, projection=None):
     return jnp.concatenate([splats.means2d, jnp.stack(columns, axis=1)], axis=1), splats
 
 
-@pytest.mark.parametrize(
-    ("model", "lens", "tolerance"),
-    [("pinhole", None, ROUNDING), ("ortho", Orthographic(), ROUNDING), ("fisheye", "fisheye", EPS)],
-)
-def test_projection_and_its_gradients(x64, reference, model, lens, tolerance):
-    if lens == "fisheye":
-        lens = Fisheye(jnp.zeros(4))
-    scene, camera = scene_and_camera(lens)
-    inputs, radii, expected = theirs(reference, scene, camera, model)
-    found, splats = ours(scene, camera)
-    both = np.asarray(splats.extents[:, 0] > 0) & (radii.detach().numpy() > 0).all(axis=1)
-    assert both.sum() > 20
-    if model == "fisheye":  # off its axis
-        local = np.asarray(scene.means @ camera.rotation.T + camera.translation[None])
-        both &= np.linalg.norm(local[:, :2], axis=1) > 0.1
-    same = np.arange(7) != (2 if model == "fisheye" else -1)  # its depth is z there, the distance here
-    assert_allclose(
-        found[both][:, same], expected.detach().numpy()[both][:, same], rtol=tolerance, atol=tolerance
-    )
+CAMERAS = [("pinhole", "exact", ROUNDING), ("fisheye", "exact", ROUNDING), ("fisheye", "reference", EPS)]
+LENSES = {"pinhole": lambda: None, "ortho": Orthographic, "fisheye": lambda: Fisheye(jnp.zeros(4))}
 
-    weights = np.random.default_rng(0).normal(size=expected.shape) * both[:, None] * same[None]
+
+def agree_in_gradients(scene, camera, inputs, function, expected, weights, tolerance, name):
+    """Compares the gradients of weighted sums of what gsplat and `function(scene, camera)` compute."""
     (expected * torch.tensor(weights)).sum().backward()
-
-    def loss(scene, camera):
-        return jnp.sum(ours(scene, camera)[0] * weights)
-
-    d_scene, d_camera = jax.grad(loss, (0, 1))(scene, camera)
+    d_scene, d_camera = jax.grad(lambda scene, camera: jnp.sum(function(scene, camera) * weights), (0, 1))(
+        scene, camera
+    )
     d_scales = np.asarray(d_scene.log_scales) / np.exp(scene.log_scales)
     slopes = {
         "means": (d_scene.means, inputs["means"].grad),
@@ -130,11 +140,36 @@ def test_projection_and_its_gradients(x64, reference, model, lens, tolerance):
         "fx, fy": (d_camera.focal, torch.diagonal(inputs["K"].grad)[:2]),
         "cx, cy": (d_camera.center, inputs["K"].grad[:2, 2]),
     }
-    for name, (one, other) in slopes.items():
+    for field, (one, other) in slopes.items():
         other = other.numpy()
         error = np.abs(np.asarray(one) - other).max() / max(np.abs(other).max(), 1e-12)
-        print(f"{model:8} {name:7} {error:.1e}")
-        assert error < 10 * tolerance, name
+        print(f"{name:28} {field:7} {error:.1e}")
+        assert error < 10 * tolerance, field
+
+
+def off_axis(scene, camera):
+    """Where a fisheye is not singular."""
+    local = np.asarray(scene.means @ camera.rotation.T + camera.translation[None])
+    return np.linalg.norm(local[:, :2], axis=1) > 0.1
+
+
+@pytest.mark.parametrize(("model", "version", "tolerance"), [*CAMERAS, ("ortho", "exact", ROUNDING)])
+def test_projection_and_its_gradients(x64, request, model, version, tolerance):
+    scene, camera = scene_and_camera(LENSES[model]())
+    inputs, radii, expected = theirs(request.getfixturevalue(version), scene, camera, model)
+    found, splats = ours(scene, camera)
+    both = np.asarray(splats.extents[:, 0] > 0) & (radii.detach().numpy() > 0).all(axis=1)
+    if model == "fisheye":
+        both &= off_axis(scene, camera)
+    assert both.sum() > 20
+    same = np.arange(7) != (2 if model == "fisheye" else -1)  # its depth is z there, the distance here
+    one, other = found[both][:, same], expected.detach().numpy()[both][:, same]
+    assert_allclose(one, other, rtol=tolerance, atol=tolerance)
+    print(f"projection {model} {version}: values {np.abs(one - other).max():.1e}")
+
+    weights = np.random.default_rng(0).normal(size=expected.shape) * both[:, None] * same[None]
+    name = f"projection {model} {version}"
+    agree_in_gradients(scene, camera, inputs, lambda *at: ours(*at)[0], expected, weights, tolerance, name)
 
 
 @pytest.mark.parametrize("degree", range(5))
@@ -158,37 +193,56 @@ def test_spherical_harmonics_and_their_gradients(x64, reference, degree):
         assert_allclose(one, given, atol=ROUNDING)
 
 
-@pytest.mark.parametrize(("model", "tolerance"), [("pinhole", ROUNDING), ("fisheye", EPS)])
-def test_the_unscented_transform_of_points_that_gsplat_projects(x64, reference, model, tolerance):
-    scene, camera = scene_and_camera(Fisheye(jnp.zeros(4)) if model == "fisheye" else None)
-    method = Unscented(alpha=0.8, beta=2.0, kappa=0.5)
-    found, splats = ours(scene, camera, method)
-    shown = np.asarray(splats.extents[:, 0] > 0)
-    assert shown.sum() > 20
-
-    K, pose = (torch.tensor(np.asarray(part, np.float64)) for part in to_opencv(camera)[:2])
-    covars, _ = reference._quat_scale_to_covar_preci(
-        tensor(scene.quats), tensor(np.exp(scene.log_scales)), True, False, False
-    )
+def theirs_unscented(reference, scene, camera, model, method):
+    """The inputs, means and conics of the seven points of gsplat's ellipsoids, which its cameras project."""
+    K, pose = to_opencv(camera)[:2]
+    fields = (scene.means, scene.quats, np.exp(scene.log_scales), pose, K)
+    inputs = dict(zip(("means", "quats", "scales", "viewmat", "K"), map(tensor, fields), strict=True))
     # Any root of the covariance with the axes of the ellipsoid as columns has the same seven points.
-    root = reference._quat_scale_to_matrix(tensor(scene.quats), tensor(np.exp(scene.log_scales)))
-    assert torch.allclose(root @ root.transpose(1, 2), covars)
+    root = reference._quat_scale_to_matrix(inputs["quats"], inputs["scales"])
     squared = method.alpha**2 * (3 + method.kappa)
     offsets = squared**0.5 * torch.cat([torch.zeros_like(root[:, :1]), root.mT, -root.mT], dim=1)
-    points = torch.tensor(np.asarray(scene.means))[:, None] + offsets
-    local, none = reference._world_to_cam(
-        points.reshape(-1, 3), torch.zeros(7 * len(scene), 3, 3, dtype=torch.float64), pose[None]
-    )
-    camera_of = {"pinhole": reference._persp_proj, "fisheye": reference._fisheye_proj}[model]
-    pixels = camera_of(local, none, K[None], *SIZE)[0].detach().numpy().reshape(-1, 7, 2)
+    points = (inputs["means"][:, None] + offsets).reshape(-1, 3)
+    none = torch.zeros(len(points), 3, 3, dtype=torch.float64)
+    local, none = reference._world_to_cam(points, none, inputs["viewmat"][None])
+    projected = {"pinhole": reference._persp_proj, "fisheye": reference._fisheye_proj}[model]
+    pixels = projected(local, none, inputs["K"][None], *SIZE)[0].reshape(-1, 7, 2)
 
     spread = squared - 3
-    for_mean = np.array([spread / squared] + [0.5 / squared] * 6)
-    for_covariance = for_mean + np.array([1 - method.alpha**2 + method.beta] + [0.0] * 6)
-    mean = np.einsum("k,nkx->nx", for_mean, pixels)
+    for_mean = torch.tensor([spread / squared] + [0.5 / squared] * 6, dtype=torch.float64)
+    for_covariance = for_mean.clone()
+    for_covariance[0] += 1 - method.alpha**2 + method.beta
+    mean = torch.einsum("k,nkx->nx", for_mean, pixels)
     apart = pixels - mean[:, None]
-    covariance = np.einsum("k,nkx,nky->nxy", for_covariance, apart, apart) + Dilation().variance * np.eye(2)
-    conics = np.linalg.inv(covariance)
-    assert_allclose(found[shown, :2], mean[shown], rtol=tolerance, atol=tolerance)
-    expected = np.stack([conics[:, 0, 0], conics[:, 0, 1], conics[:, 1, 1]], axis=1)
-    assert_allclose(found[shown, 3:6], expected[shown], rtol=10 * tolerance, atol=tolerance)
+    covariance = torch.einsum("k,nkx,nky->nxy", for_covariance, apart, apart)
+    conics = torch.linalg.inv(covariance + Dilation().variance * torch.eye(2, dtype=torch.float64))
+    return inputs, torch.cat([mean, conics[:, 0], conics[:, 1, 1:]], dim=1)
+
+
+@pytest.mark.parametrize(("model", "version", "tolerance"), CAMERAS)
+def test_the_unscented_transform_and_its_gradients(x64, request, model, version, tolerance):
+    scene, camera = scene_and_camera(LENSES[model]())
+    method = Unscented(alpha=0.8, beta=2.0, kappa=0.5)
+
+    def moments(scene, camera):
+        return ours(scene, camera, method)[0][:, jnp.array([0, 1, 3, 4, 5])]
+
+    shown = np.asarray(ours(scene, camera, method)[1].extents[:, 0] > 0)
+    if model == "fisheye":
+        shown = shown & off_axis(scene, camera)
+    assert shown.sum() > 20
+    inputs, expected = theirs_unscented(request.getfixturevalue(version), scene, camera, model, method)
+    one, other = np.asarray(moments(scene, camera))[shown], expected.detach().numpy()[shown]
+    assert_allclose(one, other, rtol=10 * tolerance, atol=tolerance)
+    print(f"unscented {model} {version}: values {np.abs(one - other).max():.1e}")
+    weights = np.random.default_rng(0).normal(size=expected.shape) * shown[:, None]
+    name = f"unscented {model} {version}"
+    agree_in_gradients(scene, camera, inputs, moments, expected, weights, tolerance, name)
+
+
+def test_the_table_of_arguments_names_those_of_the_installed_version(installed):
+    functions = ast.parse((installed / "rendering.py").read_text()).body
+    (function,) = [node for node in functions if getattr(node, "name", None) == "rasterization"]
+    arguments = {argument.arg for argument in function.args.args + function.args.kwonlyargs}
+    assert len(arguments) >= 34
+    assert arguments <= tabled_arguments()

@@ -15,14 +15,8 @@ from splatax.reconstruction.panoramas import Panoramas, looks_like_one, says_so
 
 COMMON = {".jpg", ".jpeg", ".png"}  # suffixes of formats that all tools read
 HEIF = {".heic", ".heif"}
-UNREAD = {
-    ".gif",
-    ".avif",
-    ".jxl",
-    ".jp2",
-    ".psd",
-}  # photos in formats that are not read, and those of raw data
-UNREAD |= {".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw"}
+OTHER = {".gif", ".avif", ".jxl", ".jp2", ".psd"}  # photos in formats that are not read
+RAW = {".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw"}  # of sensors: not read either
 LOSSLESS = {".png", ".bmp", ".tif", ".tiff"}
 UNREADABLE = "cannot be read: not a format that splatax knows. Save it as JPEG or PNG"
 DIAGONAL_35MM = float(np.hypot(36, 24))  # mm; the 35 mm equivalent refers to the diagonal (CIPA DCG-001)
@@ -98,7 +92,7 @@ def unread(files: Sequence[Path], photos: Sequence[Path]) -> list[Path]:
         photos: those in a known format.
     """
     known = {path.with_suffix("") for path in photos}
-    other = (path for path in files if path.suffix.lower() in UNREAD and not path.name.startswith("."))
+    other = (path for path in files if path.suffix.lower() in OTHER | RAW and not path.name.startswith("."))
     return sorted(path for path in other if path.with_suffix("") not in known)
 
 

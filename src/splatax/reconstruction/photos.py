@@ -16,7 +16,7 @@ from splatax.reconstruction.panoramas import Panoramas, looks_like_one, says_so
 COMMON = {".jpg", ".jpeg", ".png"}  # suffixes of formats that all tools read
 HEIF = {".heic", ".heif"}
 OTHER = {".gif", ".avif", ".jxl", ".jp2", ".psd"}  # photos in formats that are not read
-RAW = {".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw"}  # of sensors: not read either
+RAW = {".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw"}  # nor these
 LOSSLESS = {".png", ".bmp", ".tif", ".tiff"}
 UNREADABLE = "cannot be read: not a format that splatax knows. Save it as JPEG or PNG"
 DIAGONAL_35MM = float(np.hypot(36, 24))  # mm; the 35 mm equivalent refers to the diagonal (CIPA DCG-001)

@@ -304,6 +304,20 @@ def test_names_with_spaces_in_a_text_model_are_whole(tmp_path):
     ]
 
 
+@pytest.mark.parametrize("scale", ["0", "1.5"])
+def test_a_rotation_that_is_no_unit_quaternion_is_refused(tmp_path, scale):
+    capture = write_capture(tmp_path / "capture", text=True)
+    path = capture / "sparse" / "0" / "images.txt"
+    for name in ("rigs.txt", "frames.txt"):  # which have the poses, if they are there
+        (path.parent / name).unlink()
+    lines = path.read_text().splitlines()
+    row = next(i for i, line in enumerate(lines) if line.endswith("photo01.png"))
+    number, w, x, y, z, *rest = lines[row].split()
+    lines[row] = " ".join([number, *(str(float(q) * float(scale)) for q in (w, x, y, z)), *rest])
+    path.write_text("\n".join(lines) + "\n")
+    refuse(capture, match=rf"photo01.png is a quaternion of length {scale}, not 1", names=capture)
+
+
 def test_names_in_test_txt_without_a_photo_are_said(capture):
     (capture / "test.txt").write_text("photo02.png\nphoto77.png\n")
     notes = " ".join(sx.load_dataset(capture).notes)

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 LOOKED_FOR = "COLMAP's cameras, images and points3D (.bin or .txt) in sparse/0 or the folder itself"
 MODEL_ROOTS = ("sparse", "colmap/sparse", "distorted/sparse", ".")
 FILES = ("cameras", "images", "points3D")
+ROUNDED = 0.01  # by which the length of a rotation's quaternion in a text model may differ from 1
 
 
 def models_in(path: Path) -> list[Path]:
@@ -108,7 +109,8 @@ def registered_in(folder: Path, model: "pycolmap.Reconstruction") -> "dict[str, 
     """Returns the registered images of a model, sorted by name.
 
     Raises:
-        DatasetError: if there are none, a name is not valid, or two images have one name.
+        DatasetError: if there are none, a name is not valid, two images have one name, or a rotation is not
+            a unit quaternion.
     """
     found: dict[str, pycolmap.Image] = {}
     for number in model.reg_image_ids():
@@ -126,6 +128,12 @@ def registered_in(folder: Path, model: "pycolmap.Reconstruction") -> "dict[str, 
             raise DatasetError(
                 f"{folder}: two images of the model have the name {shown(name)}. Remove one of them "
                 "(colmap image_deleter)."
+            )
+        length = np.linalg.norm(image.cam_from_world().rotation.quat)
+        if abs(length - 1) > ROUNDED:
+            raise DatasetError(
+                f"{folder}: the rotation of {shown(name)} is a quaternion of length {length:.3g}, not 1. "
+                "Correct it, or run COLMAP's mapper again."
             )
         found[name] = image
     if not found:

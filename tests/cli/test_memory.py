@@ -51,6 +51,13 @@ def test_more_gaussians_than_there_is_room_for_are_refused_with_the_numbers(capt
     assert "--max-gaussians 1000000: --memory 700MB has room for" in capsys.readouterr().err
 
 
+def test_a_start_with_more_gaussians_than_were_asked_for_is_said(capture, tmp_path, capsys):
+    run = tmp_path / "run"
+    cli.main(["train", str(capture), "--out", str(run), "--steps", "2", "--max-gaussians", "7"])
+    assert "about 30 Gaussians, more than --max-gaussians 7, so it does not grow" in capsys.readouterr().out
+    assert len(sx.load(run / "scene.ply")) <= 30
+
+
 @pytest.mark.parametrize("recipe", ["default", "classic"])
 def test_a_limit_lowers_the_number_of_gaussians_and_is_written_down(recipe, capture, tmp_path, monkeypatch):
     monkeypatch.setattr("splatax.runs.forecast.most_gaussians", lambda *_: 37)

@@ -39,7 +39,9 @@ def planned(
 
 
 def most_gaussians(settings: Settings, dataset: sx.Dataset, room: Room) -> int:
-    """Returns the upper limit of the number of Gaussians; prints if the capture has detail for more.
+    """Returns the upper limit of the number of Gaussians.
+
+    Prints if the capture has detail for more, or if the scene starts with more than were asked for.
 
     Raises:
         InputError: if more are asked for than there is room for.
@@ -49,6 +51,12 @@ def most_gaussians(settings: Settings, dataset: sx.Dataset, room: Room) -> int:
             raise InputError(
                 f"{flag('max_gaussians')} {settings.max_gaussians}: {flag('memory')} {settings.memory} has "
                 f"room for {room.gaussians:,}. Give more memory, or ask for fewer."
+            )
+        first = settings.to_recipe(dataset).initialization.number(dataset)
+        if first > settings.max_gaussians:
+            say(
+                f"the scene starts with about {first:,} Gaussians, more than {flag('max_gaussians')} "
+                f"{settings.max_gaussians:,}, so it does not grow"
             )
         return settings.max_gaussians
     most = int(min(settings.most(dataset), room.gaussians))

@@ -83,8 +83,8 @@ class Limits:
     more. With --views, a part of that, so that the photos of all steps together are as many."""
     max_gaussians: Annotated[Literal["auto"] | int | None, shown_as("{auto,N}")] = None
     """Upper limit of the number of Gaussians. "classic" and "absgrad" rarely reach it; the other recipes
-    always do. By default "auto": as many as the photos have detail for, or 5,000,000 for "classic" and
-    "absgrad"."""
+    always do. A scene that starts with more, one for each point, does not grow. By default "auto": as
+    many as the photos have detail for, or 5,000,000 for "classic" and "absgrad"."""
     downscale: Annotated[Downscale | None, shown_as("{auto,N}")] = None
     """Divide the width and height of photos by this number. By default "auto": the smallest factor that
     brings the long side down to 1600 pixels."""

@@ -1,6 +1,7 @@
 """The commands on a tiny capture: the files that they write, and that these agree with each other."""
 
 import json
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -105,6 +106,14 @@ def test_the_preset_says_whether_photos_are_weighed_by_default(capture, monkeypa
     assert Settings(capture, recipe="mcmc").weighing(dataset) == "equal"
     monkeypatch.setitem(PRESETS, "mcmc", replace(PRESETS["mcmc"], weighs_photos=True))
     assert Settings(capture, recipe="mcmc").weighing(dataset) == "robust"
+
+
+def test_eval_on_another_capture_is_said(trained, capture, tmp_path, capsys):
+    other = tmp_path / "other"
+    shutil.copytree(capture, other)
+    cli.main(["eval", str(trained), str(other), "--out", str(tmp_path / "scores.json")])
+    said = "".join(capsys.readouterr().out.split())  # long lines are broken
+    assert f"was trained on {capture}, and is scored on photos of {other}".replace(" ", "") in said
 
 
 def test_eval_of_the_run_repeats_its_scores(trained, capture, tmp_path, capsys):

@@ -75,6 +75,9 @@ class Evaluate:
         perceptual = lpips.read(self.lpips) if self.lpips else None
         model = read_model(self.model, self.low_pass)
         dataset = load_scene(self.scene, self.downscale, model, self.hold_out)
+        trained_on = model.options.get("scene")
+        if trained_on and Path(trained_on).name != self.scene.absolute().name:
+            say(f"note    {model.name} was trained on {trained_on}, and is scored on photos of {self.scene}")
         background = background_of(model.options, self.background)
         views = views_of(dataset, self.split, self.scene)
         renderer = sx.Renderer(background, backend=resolve_backend(self.backend))

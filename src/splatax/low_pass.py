@@ -4,7 +4,8 @@ A scene is drawn with the filter that it was trained with, because its shapes an
 optimized with it.
 """
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -59,3 +60,23 @@ LOW_PASSES: dict[str, LowPass] = {
     "antialiasing": Antialiasing(),
     "along-rays": AlongRays(),
 }
+
+
+def low_pass_of(text: str) -> LowPass:
+    """Returns the filter of a text: its name, or name and variance in square pixels ("antialiasing:0.1").
+
+    Raises:
+        ValueError: if there is no such filter, or the variance is not above 0.
+    """
+    name, separator, number = text.partition(":")
+    if name not in LOW_PASSES:
+        raise ValueError(f"no filter {name!r}. There are {', '.join(LOW_PASSES)}")
+    if not separator:
+        return LOW_PASSES[name]
+    try:
+        variance = float(number)
+    except ValueError:
+        variance = math.nan
+    if not 0 < variance < math.inf:
+        raise ValueError(f"{number!r} is no variance in square pixels above 0")
+    return replace(LOW_PASSES[name], variance=variance)

@@ -101,7 +101,14 @@ def test_a_folder_without_a_model(capture, tmp_path, capsys):
 
 @pytest.mark.parametrize(
     ("options", "named"),
-    [("--steps 0", "--steps"), ("--max-gaussians 0", "--max-gaussians"), ("--downscale 0", "--downscale")],
+    [
+        ("--steps 0", "--steps"),
+        ("--max-gaussians 0", "--max-gaussians"),
+        ("--downscale 0", "--downscale"),
+        ("--low-pass mip", "--low-pass: no filter 'mip'. There are dilation, antialiasing, along-rays"),
+        ("--low-pass dilation:0", "--low-pass: '0' is no variance in square pixels above 0"),
+        ("--low-pass dilation:wide", "--low-pass: 'wide' is no variance in square pixels above 0"),
+    ],
 )
 def test_options_out_of_range(capture, tmp_path, capsys, options, named):
     assert named in refused(capsys, "train", capture, "--out", tmp_path / "run", *options.split())

@@ -59,10 +59,10 @@ def test_a_rig_is_drawn_with_the_filter_that_it_was_trained_with(arm, tmp_path, 
     monkeypatch.setattr(rigging, "optimize_rig", recorded)
     poses = ["--skeleton", f"{arm}/body.glb", "--poses", f"{arm}/poses.json", "--out", str(tmp_path)]
     sizes = ["--steps", "1", "--max-gaussians", "100"]
-    cli.main(["rig", str(arm), *poses, *sizes, "--low-pass", "antialiasing"])
-    assert [recipe.drawing.low_pass for recipe in recipes] == [sx.Antialiasing()]
-    assert load_rigged(tmp_path / "rigged.glb").gaussians.low_pass == sx.Antialiasing()
-    assert sx.load(tmp_path / "scene.ply").low_pass == sx.Antialiasing()
+    cli.main(["rig", str(arm), *poses, *sizes, "--low-pass", "antialiasing:0.1"])
+    assert [recipe.drawing.low_pass for recipe in recipes] == [sx.Antialiasing(0.1)]
+    assert load_rigged(tmp_path / "rigged.glb").gaussians.low_pass == sx.Antialiasing(0.1)
+    assert sx.load(tmp_path / "scene.ply").low_pass == sx.Antialiasing(0.1)
 
 
 class PowerCut(Exception):

@@ -14,7 +14,7 @@ from splatax import backends
 from splatax.cli.output import say
 from splatax.dataset import resplit
 from splatax.errors import InputError
-from splatax.low_pass import LOW_PASSES
+from splatax.low_pass import LOW_PASSES, low_pass_of
 from splatax.reconstruction.calibration import ADJUSTMENTS
 from splatax.runs.cameras import with_cameras
 from splatax.runs.scene_files import scene_at
@@ -31,7 +31,6 @@ BackgroundName = Literal[*BACKGROUNDS]  # type: ignore[valid-type]
 AppearanceName = Literal["auto", *APPEARANCES]  # type: ignore[valid-type]
 AdjustmentName = Literal["none", *ADJUSTMENTS]  # type: ignore[valid-type]
 RefinementName = Literal[*CAMERA_REFINEMENTS]  # type: ignore[valid-type]
-LowPassName = Literal[*LOW_PASSES]  # type: ignore[valid-type]
 PhotoWeightsName = Literal["auto", *PHOTO_WEIGHTS]  # type: ignore[valid-type]
 
 
@@ -49,7 +48,7 @@ def shown_as(metavar: str | None = None) -> Any:
 
 OverwriteFlag = Annotated[bool, shown_as()]
 BackgroundOption = Annotated[BackgroundName | None, shown_as()]
-LowPassOption = Annotated[LowPassName | None, shown_as()]
+LowPassOption = Annotated[str | None, shown_as(f"{{{','.join(LOW_PASSES)}}}[:VARIANCE]")]
 DownscaleOption = Annotated[Downscale | None, shown_as("{auto,N}")]
 PathOption = Annotated[Path | None, shown_as("PATH")]
 FolderOption = Annotated[Path | None, shown_as("FOLDER")]
@@ -105,7 +104,8 @@ def read_model(path: Path, low_pass: str | None) -> Model:
 
     Args:
         path: of the file or folder.
-        low_pass: name of the filter to draw with instead of the one that the file or the run names.
+        low_pass: the filter to draw with, as the user types it, instead of the one that the file or the run
+            names.
 
     Raises:
         InputError: if there is no model, or it cannot be read.
@@ -115,7 +115,7 @@ def read_model(path: Path, low_pass: str | None) -> Model:
         say(f"note    {note}")
     gaussians = sx.load(found.path)
     if chosen := low_pass or found.low_pass:
-        gaussians = replace(gaussians, low_pass=LOW_PASSES[chosen])
+        gaussians = replace(gaussians, low_pass=parsed("low_pass", chosen, low_pass_of))
     return Model(found.path, found.name, gaussians, found.options)
 
 

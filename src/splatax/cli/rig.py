@@ -61,7 +61,8 @@ class RigCommand:
     """Colour behind photos with alpha. By default as the capture defines it, else random in training."""
     low_pass: LowPassOption = None
     """Anti-aliasing filter. "dilation": as in 3DGS; "antialiasing": as in Mip-Splatting, keeps the brightness
-    correct when zoomed out; "along-rays": exact in perspective, as in 2DGS. By default "dilation"."""
+    correct when zoomed out; "along-rays": exact in perspective, as in 2DGS. A number after a colon is its
+    variance in square pixels. By default "dilation"."""
     seed: Count = None
     """Random seed. By default 0."""
     resume: Annotated[Path | None, shown_as("RUN")] = None

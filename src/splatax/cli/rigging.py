@@ -12,7 +12,7 @@ import numpy as np
 import splatax as sx
 from splatax.cli.display import Display
 from splatax.cli.interruption import Interruption
-from splatax.cli.options import BackgroundName, LowPassName, flag
+from splatax.cli.options import BackgroundName, flag, parsed
 from splatax.cli.output import say
 from splatax.dataset import Dataset, mask_of
 from splatax.digests import file_digest
@@ -21,7 +21,7 @@ from splatax.gaussians import Gaussians
 from splatax.io.files import write_whole
 from splatax.io.rigs import read_body, save_rigged
 from splatax.io.rigs.poses import Posing, along_clip, read_poses, write_poses
-from splatax.low_pass import LOW_PASSES
+from splatax.low_pass import low_pass_of
 from splatax.rendering import Color
 from splatax.report.rigged import posed_comparisons, rig_report, seen_by
 from splatax.runs.checkpoints import Checkpoints
@@ -62,7 +62,7 @@ class RigSettings:
     max_gaussians: int | None = None
     refine: Refine = "none"
     background: BackgroundName | None = None
-    low_pass: LowPassName | None = None
+    low_pass: str | None = None
     seed: int = 0
     checkpoint_every: float = 120.0
     checkpoint_steps: int = 0
@@ -73,6 +73,8 @@ class RigSettings:
             value = getattr(self, name)
             if value is not None and value < least:
                 raise InputError(f"{flag(name)}: at least {least}, not {value}.")
+        if self.low_pass:
+            parsed("low_pass", self.low_pass, low_pass_of)
 
     def absolute(self) -> "RigSettings":
         """Returns the settings with absolute paths: a run may be resumed from elsewhere."""
@@ -90,7 +92,7 @@ class RigSettings:
         if background := self.background or dataset.background:
             drawing = replace(drawing, background=BACKGROUNDS[background])
         if self.low_pass:
-            drawing = replace(drawing, low_pass=LOW_PASSES[self.low_pass])
+            drawing = replace(drawing, low_pass=low_pass_of(self.low_pass))
         return replace(recipe, drawing=drawing)
 
 

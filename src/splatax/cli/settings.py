@@ -14,7 +14,6 @@ from splatax.cli.options import (
     BackgroundName,
     Downscale,
     InitName,
-    LowPassName,
     PhotoWeightsName,
     RecipeName,
     RefinementName,
@@ -25,7 +24,7 @@ from splatax.cli.options import (
 from splatax.dataset import photos_in
 from splatax.digests import file_digest
 from splatax.errors import InputError
-from splatax.low_pass import LOW_PASSES
+from splatax.low_pass import low_pass_of
 from splatax.runs.budget import parse_bytes, parse_seconds
 from splatax.runs.records import typed_fields
 from splatax.splits import is_list, listed_in, parse_hold_out
@@ -74,7 +73,7 @@ class Settings:
     init: InitName = "sfm"
     sky: bool = False
     background: BackgroundName | None = None
-    low_pass: LowPassName | None = None
+    low_pass: str | None = None
     appearance: AppearanceName = "auto"
     refine: RefinementName = "none"
     adjust_cameras: AdjustmentName = "none"
@@ -110,7 +109,7 @@ class Settings:
             raise InputError(f"{flag('geometry_after')}: from 0 to below 1, not {self.geometry_after}.")
         if self.geometry_after and not self.geometry:
             raise InputError(f"{flag('geometry_after')} is about {flag('geometry')}: give that too.")
-        for name, read in (("budget", parse_seconds), ("memory", parse_bytes)):
+        for name, read in (("budget", parse_seconds), ("memory", parse_bytes), ("low_pass", low_pass_of)):
             if (text := getattr(self, name)) is not None:
                 parsed(name, text, read)
         if self.hold_out is not None:
@@ -157,7 +156,7 @@ class Settings:
         recipe = replace(recipe, objective=replace(recipe.objective, weights=weights))
         drawing = Drawing(
             background=BACKGROUNDS[self.background] if self.background else recipe.drawing.background,
-            low_pass=LOW_PASSES[self.low_pass] if self.low_pass else recipe.drawing.low_pass,
+            low_pass=low_pass_of(self.low_pass) if self.low_pass else recipe.drawing.low_pass,
             backend=resolve_backend(self.backend),
         )
         return replace(

@@ -14,7 +14,7 @@ from splatax.cli.options import (
     Downscale,
     HoldOutOption,
     InitName,
-    LowPassName,
+    LowPassOption,
     PhotoWeightsName,
     RecipeName,
     RefinementName,
@@ -122,10 +122,10 @@ class Method:
     """Colour behind the scene and behind transparent photos. "random": a new colour every step, which
     prevents haze; evaluation uses black. By default white for Blender's scenes, random for the recipe
     "default", else black."""
-    low_pass: Annotated[LowPassName | None, shown_as()] = None
+    low_pass: LowPassOption = None
     """Anti-aliasing filter. "dilation": as in 3DGS; "antialiasing": as in Mip-Splatting, keeps the brightness
-    correct when zoomed out; "along-rays": exact in perspective, as in 2DGS. By default "along-rays" for the
-    recipe "2dgs", else "dilation"."""
+    correct when zoomed out; "along-rays": exact in perspective, as in 2DGS. A number after a colon is its
+    variance in square pixels. By default "along-rays" for the recipe "2dgs", else "dilation"."""
     appearance: Annotated[AppearanceName | None, shown_as()] = None
     """Compensate for differences between photos. "exposure": learns an affine colour map for each training
     photo, for exposure and white balance. By default "auto": only if exposure differs much. Held-out photos

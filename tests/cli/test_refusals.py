@@ -7,6 +7,7 @@ from PIL import Image
 
 from captures import write_capture
 from splatax import cli
+from splatax.runs import claim
 
 
 def refused(capsys, *arguments) -> str:
@@ -27,6 +28,17 @@ def test_photos_too_small_for_a_score_are_refused_before_training(tmp_path, caps
     assert "photo04.png: 8 x 6 pixels are too few for a score, which needs at least 11 x 11" in message
     assert "See --downscale, --hold-out" in message
     assert not (tmp_path / "run").exists()
+
+
+def test_a_disk_without_space_for_the_results_is_refused_before_training(tmp_path, capsys, monkeypatch):
+    capture = write_capture(tmp_path / "capture")
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(claim.shutil, "disk_usage", lambda _: usage._replace(free=10**6))
+    message = refused(capsys, "train", capture, "--out", tmp_path / "run", "--steps", 2)
+    assert "the results need about 5," in message
+    assert "1,000,000 bytes free" in message
+    assert "See --out" in message
+    assert not (tmp_path / "run" / "scene.ply").exists()
 
 
 def test_a_damaged_held_out_photo_is_refused_before_training(tmp_path, capsys):

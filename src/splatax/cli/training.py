@@ -26,7 +26,7 @@ from splatax.evaluation import require_scorable
 from splatax.report import held_out
 from splatax.runs.budget import Changes, Clock
 from splatax.runs.checkpoints import Checkpoints, NoCheckpoints
-from splatax.runs.claim import claimed_for_run
+from splatax.runs.claim import claimed_for_run, require_space
 from splatax.runs.finished import FinishedRun, read_runs
 from splatax.runs.history import History
 from splatax.runs.keeping import with_photos_kept
@@ -36,6 +36,7 @@ from splatax.runs.resume import facts
 from splatax.runs.session import Session, WorkerSession, all_made
 from splatax.training.loop import RunState
 from splatax.training.processes import broadcast, receive
+from splatax.training.recipes import room_for
 
 
 def train(run: Run, live: Live = Live()) -> None:
@@ -80,6 +81,8 @@ def lead(run: Run, live: Live) -> None:
         send_settings(decided.settings)
         settings, dataset, history = decided.settings, decided.dataset, run.history
         recipe = settings.to_recipe(dataset)
+        start = recipe.initialization.number(dataset)
+        require_space(run.out, max(start, min(settings.most(dataset), room_for(dataset))))
         photos = kept_photos(dataset, decided.room)
         checkpoints = Checkpoints(
             run.out,

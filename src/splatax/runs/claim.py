@@ -1,6 +1,7 @@
 """The output folder of a command, held by one process at a time."""
 
 import os
+import shutil
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -18,6 +19,8 @@ except ImportError:  # Windows
     import msvcrt
 
 LOCK = ".splatax.lock"  # in the folder while a process writes to it; holds the process id
+REPORT = 5_000_000  # bytes of the report and the pictures of a run, about
+GAUSSIAN = 248  # bytes in scene.ply, with SH degree 3
 AT = 1 << 30  # the byte that Windows locks, far behind the process id, which others may read
 
 
@@ -52,6 +55,27 @@ def claimed(folder: Path) -> Iterator[None]:
         with suppress(OSError):
             if new:
                 folder.rmdir()  # if nothing was written
+
+
+def require_space(folder: Path, gaussians: int) -> None:
+    """Checks that a disk has room for the results of a run, which would otherwise be lost after hours.
+
+    Checkpoints need more; a run without space for these continues with a warning.
+
+    Args:
+        folder: of the run.
+        gaussians: their number at the end.
+
+    Raises:
+        InputError: if less is free than a scene and a report take.
+    """
+    wanted = REPORT + GAUSSIAN * gaussians
+    if shutil.disk_usage(folder).free < wanted:
+        raise InputError(
+            f"{folder}: the results need about {wanted:,} bytes ({disk_of(folder)}). Free some space, or "
+            "choose another folder.",
+            options=("out",),
+        )
 
 
 @contextmanager

@@ -20,7 +20,7 @@ except ImportError:  # Windows
 
 LOCK = ".splatax.lock"  # in the folder while a process writes to it; holds the process id
 REPORT = 5_000_000  # bytes of the report and the pictures of a run, about
-GAUSSIAN = 248  # bytes in scene.ply, with SH degree 3
+GAUSSIAN = 248 + 720  # bytes in scene.ply and in a checkpoint, with SH degree 3
 AT = 1 << 30  # the byte that Windows locks, far behind the process id, which others may read
 
 
@@ -60,14 +60,14 @@ def claimed(folder: Path) -> Iterator[None]:
 def require_space(folder: Path, gaussians: int) -> None:
     """Checks that a disk has room for the results of a run, which would otherwise be lost after hours.
 
-    Checkpoints need more; a run without space for these continues with a warning.
+    The last state of a run is saved before the scene and the report are written.
 
     Args:
         folder: of the run.
         gaussians: their number at the end.
 
     Raises:
-        InputError: if less is free than a scene and a report take.
+        InputError: if less is free than a checkpoint, a scene and a report take.
     """
     wanted = REPORT + GAUSSIAN * gaussians
     if shutil.disk_usage(folder).free < wanted:

@@ -35,7 +35,7 @@ def test_a_disk_without_space_for_the_results_is_refused_before_training(tmp_pat
     usage = shutil.disk_usage(tmp_path)
     monkeypatch.setattr(claim.shutil, "disk_usage", lambda _: usage._replace(free=10**6))
     message = refused(capsys, "train", capture, "--out", tmp_path / "run", "--steps", 2)
-    assert "the results need about 5," in message
+    assert "the results need about 6," in message
     assert "1,000,000 bytes free" in message
     assert "See --out" in message
     assert not (tmp_path / "run" / "scene.ply").exists()

@@ -1,18 +1,25 @@
-"""Checks the shapes and dtypes of arrays that enter the library, at trace time.
+"""Checks the shapes and dtypes of arrays that enter the library, at trace time, and numbers that files hold.
 
 Shapes use the notation of jaxtyping: "n 3" is any number of rows of three, and a letter stands for the same
 number in all arrays of a call. Native code checks shapes again.
 """
 
+import sys
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeGuard
 
 import jax
 import numpy as np
 
 COMPUTED_IN = ("float32", "float64")
 LONGEST_SIDE = 1_000_000  # pixels; kernels count tiles in 16 bits
+
+
+def is_number(value: Any) -> TypeGuard[float]:
+    """Returns whether a value that a file holds is a finite number, which truth values are not."""
+    sort = isinstance(value, int | float) and not isinstance(value, bool)
+    return sort and abs(value) <= sys.float_info.max  # also for integers that no float holds
 
 
 def check_arrays(owner: str, arrays: Mapping[str, tuple[Any, str]]) -> Mapping[str, int]:

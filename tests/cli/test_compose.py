@@ -163,6 +163,7 @@ def test_a_page_is_told_everything(car, tmp_path):
         (("[parts.body]", '[parts.""]'), "parts has an empty name"),
         (("scale = 0.5", 'scale = "big"'), "[parts.front] scale is 'big', not a number"),
         (("scale = 0.5", "scale = nan"), "[parts.front] scale is nan, not a number"),
+        (("scale = 0.5", f"scale = 1{'0' * 400}"), "[parts.front] scale is 1000"),  # more than floats hold
         (("move = [1, 0, 0.2]", "move = [nan, 0, 0]"), "[parts.front] move is [nan, 0, 0], not 3 numbers"),
         (("tint = [1, 0.5, 0.5]", "tint = [-1, 0, 0]"), "no number below 0"),
         (

@@ -2,10 +2,9 @@
 
 import itertools
 import json
-import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -13,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from splatax.cameras import Camera
 from splatax.errors import FormatError
+from splatax.shapes import is_number
 from splatax.trajectories.interpolation import Keyframe, Size, interpolate
 
 
@@ -78,7 +78,7 @@ def _key(row: Any, where: str) -> Keyframe:
     position, wxyz, fov = _numbers(row, where, "position", 3), _numbers(row, where, "wxyz", 4), row.get("fov")
     if not np.any(wxyz):
         raise ValueError(f"{where}: wxyz is zero, which is no rotation")
-    if not _is_number(fov) or not 0 < fov < 180:
+    if not is_number(fov) or not 0 < fov < 180:
         raise ValueError(f"{where}: fov is an angle of 0 to 180 degrees, not {fov}")
     return Keyframe(position, Rotation.from_quat(wxyz, scalar_first=True), np.radians(float(fov)))
 
@@ -87,20 +87,16 @@ def _numbers(row: dict[str, Any], where: str, name: str, count: int) -> Float[np
     if name not in row:
         raise ValueError(f"{where}: {name!r} is missing")
     values = row[name]
-    if not isinstance(values, list) or len(values) != count or not all(map(_is_number, values)):
+    if not isinstance(values, list) or len(values) != count or not all(map(is_number, values)):
         raise ValueError(f"{where}: {name} is {values!r}, not {count} numbers")
     return np.array(values, np.float64)
-
-
-def _is_number(value: Any) -> TypeGuard[float]:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _times(rows: list[dict[str, Any]], closed: bool) -> list[float]:
     timed = [row["seconds"] for row in rows if "seconds" in row]
     if not timed:
         return [float(i) for i in range(len(rows) + closed)]
-    if len(timed) != len(rows) or not all(map(_is_number, timed)):
+    if len(timed) != len(rows) or not all(map(is_number, timed)):
         raise ValueError("seconds are numbers, and all keyframes have them or none")
     times = [float(seconds) for seconds in timed]
     if any(a >= b for a, b in itertools.pairwise(times)):

@@ -1,10 +1,9 @@
 """Checks of the values in tables of a .toml file. Each error names the table and the key."""
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
+from splatax.shapes import is_number
 
 
 def table(where: str, value: Any, known: tuple[str, ...] | None = None) -> dict[str, Any]:
@@ -51,7 +50,7 @@ def number(what: str, value: Any) -> float:
     Raises:
         ValueError: if it is not.
     """
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    if not is_number(value):
         raise ValueError(f"{what} is {value!r}, not a number")
     return float(value)
 
@@ -63,8 +62,7 @@ def numbers(what: str, values: Any, count: int) -> tuple[float, ...]:
         ValueError: if it is not, or has another length.
     """
     found = values if isinstance(values, list | tuple) else []
-    sound = all(isinstance(value, int | float) and not isinstance(value, bool) for value in found)
-    if len(found) != count or not sound or not np.isfinite(np.array(found, np.float64)).all():
+    if len(found) != count or not all(map(is_number, found)):
         raise ValueError(f"{what} is {values!r}, not {count} numbers")
     return tuple(map(float, found))
 

@@ -9,7 +9,6 @@ does not name are as in the rest pose, or as in the clip.
 """
 
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,6 +22,7 @@ from splatax.io.files import write_whole
 from splatax.io.formats.untrusted import structured
 from splatax.scene.clips import Clip
 from splatax.scene.skeleton import Pose, Skeleton
+from splatax.shapes import is_number
 
 FIELDS = {"rotations": ("quats", 4), "translations": ("translations", 3), "scales": ("scales", 3)}
 
@@ -102,7 +102,7 @@ def _pose(path: Path, name: str, written: Any, skeleton: Skeleton, clips: Mappin
                 f"have. Its clips are {shown(', '.join(clips) or 'none', 300)}."
             )
         time = written.get("time", 0)
-        if isinstance(time, bool) or not isinstance(time, int | float) or not math.isfinite(time):
+        if not is_number(time):
             raise FormatError(
                 f"{path}: time of the pose {shown(name)} is {shown(repr(time))}, not a number of seconds."
             )

@@ -28,17 +28,17 @@ import pytest
 from jaxtyping import install_import_hook
 
 gc.set_threshold(200_000, 50, 100)  # tracing allocates much that lives on
-_register = jax.tree_util.register_dataclass
+_register = jax.tree_util.register_pytree_with_keys
 
 
-def _register_unchecked(record):
+def _register_unchecked(record, *functions):
     """JAX rebuilds records around placeholders and batched leaves, which have other shapes than the
     fields declare: check functions, not the `__init__` of pytrees."""
     record.__no_type_check__ = True
-    return _register(record)
+    _register(record, *functions)
 
 
-jax.tree_util.register_dataclass = _register_unchecked
+jax.tree_util.register_pytree_with_keys = _register_unchecked
 install_import_hook("splatax", "beartype.beartype")
 if "SPLATAX_NATIVE" in os.environ:  # another build of the native library: `make sanitize`
     from splatax.backends.cpu import library

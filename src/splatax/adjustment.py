@@ -16,6 +16,7 @@ from splatax.evaluation import Scores, evaluate, photo_of
 from splatax.gaussians import Gaussians
 from splatax.lpips import Lpips
 from splatax.math import rigid
+from splatax.pytrees import pytree
 from splatax.rendering import Renderer
 
 PROTOCOL = (
@@ -129,7 +130,7 @@ def _adjusted(gaussians: Gaussians, view: View, renderer: Renderer) -> Adjusted:
     return Adjusted(replace(view, camera=camera), picture_motion(gaussians, view.camera, camera))
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Linearized:
     """The squared error of a rendering near a pose, e + 2 g x + x C x for a small twist x in camera axes."""

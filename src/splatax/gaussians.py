@@ -11,12 +11,13 @@ from jaxtyping import Array, Bool, Float, Int
 
 from splatax.low_pass import Dilation, LowPass
 from splatax.math import ellipsoids, harmonics
+from splatax.pytrees import pytree
 from splatax.shapes import check_arrays
 
 ARRAYS = ("means", "quats", "log_scales", "opacity_logits", "sh")  # the fields of a scene with a row for each
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Gaussians:
     """Scene of n anisotropic Gaussians with view-dependent colour (Kerbl et al. 2023, Sec. 4).

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -19,6 +18,7 @@ from splatax.drawn import BackgroundArray as BackgroundArray
 from splatax.drawn import Drawn as Drawn
 from splatax.drawn import Seen as Seen
 from splatax.drawn import scene_of, selection_of
+from splatax.pytrees import pytree
 from splatax.surface_outputs import (
     median_surface_depth,
     normal_channels,
@@ -156,7 +156,7 @@ def resolve(outputs: Outputs) -> tuple[tuple[str, Output], ...]:
     return tuple((name, OUTPUTS[name]) for name in dict.fromkeys(outputs))
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Rendering:
     """Rendered images of one view, one for each requested output; see `splatax.outputs.OUTPUTS`.

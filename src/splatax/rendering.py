@@ -32,6 +32,7 @@ from splatax.outputs import (
     Seen,
     resolve,
 )
+from splatax.pytrees import pytree
 from splatax.scene import Drawable, seen
 from splatax.shapes import check_arrays
 from splatax.sky import Surroundings
@@ -53,7 +54,7 @@ Color = tuple[float, float, float] | Float[Array, "3"] | Float[np.ndarray, "3"] 
 BackgroundLike = Color | BackgroundArray | Float[np.ndarray, "h w 3"]  # one colour, or one for each pixel
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Renderer:
     """The settings of `render` as one value, which evaluation, viewers and reports carry.

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from splatax.math import harmonics
+from splatax.pytrees import pytree
 
 
 @runtime_checkable
@@ -19,7 +20,7 @@ class Surroundings(Protocol):
         ...
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Sky:
     """Smooth surroundings by spherical harmonics, in the convention of `Gaussians.sh`.

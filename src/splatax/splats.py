@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from splatax.pytrees import pytree
 from splatax.shapes import check_arrays, check_size
 
 MIN_ALPHA = 1 / 255  # below one 8-bit level a splat is not drawn
@@ -20,7 +21,7 @@ MIN_TRANSMITTANCE = 1e-4  # a pixel is finished before the splat that would take
 # (all three from the authors' code of Kerbl et al. 2023)
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Splats:
     """2D Gaussians in pixels; the first pixel's centre is at (0.5, 0.5).

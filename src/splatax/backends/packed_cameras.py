@@ -13,12 +13,13 @@ from splatax.cameras import Camera
 from splatax.cameras.lenses import Lens, OpenCV, Pinhole, opencv
 from splatax.cameras.lenses.distortion import Distorted
 from splatax.footprints import visible_plane
+from splatax.pytrees import pytree
 
 POSE_END = 19  # numbers of a camera before those of its lens
 PackedCamera = Float[Array, " k"]  # fx, fy, cx, cy, rotation by rows, translation, position; then the lens's
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Boxed(OpenCV):
     """OpenCV's lens with the box of slopes that was found for a camera.

@@ -9,12 +9,13 @@ from jaxtyping import Array, Float
 from splatax.cameras.lenses import Lens, Pinhole
 from splatax.cameras.motion import RollingShutter
 from splatax.math import rigid
+from splatax.pytrees import pytree
 from splatax.shapes import check_arrays, check_size
 
 SEARCHES = 6  # for the row that sees a point; the camera moves little during the exposure
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Camera:
     """Camera: pose, intrinsics, lens, motion during the exposure, and image size.

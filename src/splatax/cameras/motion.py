@@ -3,14 +3,15 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+
+from splatax.pytrees import pytree
 
 Direction = Literal["down", "up", "right", "left"]
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class RollingShutter:
     """A camera that moves evenly while its rows, or columns, are exposed one after another.

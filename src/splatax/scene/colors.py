@@ -9,11 +9,12 @@ from jaxtyping import Array, Float
 
 from splatax.gaussians import Gaussians
 from splatax.math import harmonics
+from splatax.pytrees import pytree
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # of linear sRGB (ITU-R BT.709)
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class ColorMap:
     """An affine map of display-referred colour, c' = M c + b, in every direction of view.

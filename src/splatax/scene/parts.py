@@ -11,13 +11,14 @@ from jaxtyping import Array, Float, Int
 
 from splatax import gaussians as clouds
 from splatax.gaussians import Gaussians
+from splatax.pytrees import pytree
 from splatax.scene.colors import ColorMap
 from splatax.transforms import Similarity
 
 IDENTITY = Similarity(np.eye(3), np.zeros(3))
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Part:
     """One part of a scene. All fields are traced.

@@ -10,12 +10,13 @@ from jaxtyping import Array, Float
 
 from splatax.errors import InputError, shown
 from splatax.math import quaternions
+from splatax.pytrees import pytree
 from splatax.transforms import Similarity
 
 Vector = Float[Array, "3"] | Float[np.ndarray, "3"] | Sequence[float]
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Pose:
     """The transform of each joint to the frame of its parent: scale, then rotate, then translate.
@@ -44,7 +45,7 @@ def _matrix(
     return jnp.concatenate([top, jnp.array([[0, 0, 0, 1]], linear.dtype)])
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Skeleton:
     """A tree of joints. Parents come before their children.

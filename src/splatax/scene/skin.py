@@ -10,11 +10,12 @@ from splatax.gaussians import Gaussians
 from splatax.math import ellipsoids, quaternions
 from splatax.math.principal import principal_axes
 from splatax.math.turning import turned
+from splatax.pytrees import pytree
 from splatax.scene.skeleton import Skeleton
 from splatax.shapes import check_arrays
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Rig:
     """A skeleton, and the joints that each Gaussian follows.

@@ -10,10 +10,11 @@ from splatax.cameras import Camera
 from splatax.math import rigid
 from splatax.math.srgb import OFFSET, POWER, SLOPE, TOE
 from splatax.outputs import Rendering
+from splatax.pytrees import pytree
 from splatax.sensors.protocol import Key, Plain
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class ColorNoise:
     """Noise of an image sensor, in linear light (EMVA 1288's linear model, without dark current).
@@ -43,7 +44,7 @@ class ColorNoise:
         return jnp.clip(self.gain * electrons / self.full_well, 0, 1)
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class MotionBlur:
     """Blur of a camera that moves evenly while its shutter is open.
@@ -64,7 +65,7 @@ class MotionBlur:
         return tuple(replace(camera, cam_from_world=pose) for pose in moved)
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Color(Plain):
     """A colour camera. Its measurement is an image [h w 3], display-referred (sRGB), in [0, 1].

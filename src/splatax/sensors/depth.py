@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float, UInt16
 from splatax.cameras import Camera
 from splatax.cameras.geometry import rays
 from splatax.outputs import Rendering
+from splatax.pytrees import pytree
 from splatax.sensors.protocol import Key, Plain
 from splatax.surfaces import pixel_centers, positions_of
 
@@ -20,7 +21,7 @@ COVERED = 0.5  # least alpha of a pixel with a surface
 MOST_MILLIMETRES = 65_535  # of 16 bits
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class DepthNoise:
     """Noise of a depth camera: axial noise that grows with z^2, and pixels without a measurement.
@@ -62,7 +63,7 @@ class DepthNoise:
         return noisy, valid & kept & (cosine > jnp.cos(self.grazing)) & ~_edges(depth, valid, self.edge)
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Depth(Plain):
     """A depth camera. Its measurement is an image [h w], in metres if the scene is.
@@ -108,7 +109,7 @@ class Depth(Plain):
         return jnp.where(valid, depth, self.invalid)
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Normals(Plain):
     """Surface normals. The measurement is an image [h w 3] of unit vectors; 0 where there is no surface.
@@ -133,7 +134,7 @@ class Normals(Plain):
         return jnp.where((image.alpha >= COVERED)[..., None], normals, 0)
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class PointCloud(Plain):
     """An organized point cloud. The measurement is [h w 3], one point for each pixel; NaN where invalid.

@@ -10,11 +10,12 @@ from jaxtyping import Array, Int
 from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
 from splatax.outputs import Rendering
+from splatax.pytrees import pytree
 from splatax.scene import Drawable
 from splatax.sensors.protocol import Key, Plain
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Labels(Plain):
     """A camera of labels. Its measurement is an image [h w] of whole numbers, -1 where nothing wins.

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, Int
 from splatax.cameras import Camera, panorama
 from splatax.cameras.geometry import rays
 from splatax.outputs import Rendering
+from splatax.pytrees import pytree
 from splatax.sensors.depth import COVERED, Frame
 from splatax.sensors.protocol import Key, Plain
 
@@ -32,7 +33,7 @@ class Scan(NamedTuple):
     rows: Int[Array, " r"]
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Lidar(Plain):
     """A LiDAR. Its measurement is a `Scan`.

@@ -7,12 +7,13 @@ import jax
 import jax.numpy as jnp
 
 from splatax.cameras import Camera, checked
+from splatax.pytrees import pytree
 from splatax.transforms import Similarity
 
 RIGID = 1e-5  # difference of a scale from 1 that is rounding
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class CameraRig:
     """Cameras of one size and one kind of lens, which are drawn together by `vmap`.

@@ -15,6 +15,7 @@ from splatax.cameras.lenses import Equirectangular, OpenCV, Orthographic, Pinhol
 from splatax.dataset import View
 from splatax.errors import InputError
 from splatax.math import rigid
+from splatax.pytrees import pytree
 from splatax.training import per_photo
 from splatax.training.feed import sources
 from splatax.training.per_photo import NoParameters, PerPhoto, PerView
@@ -34,7 +35,7 @@ class FixedCameras(NoParameters):
         return camera
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Placed(PerPhoto):
     """A table of parameters of photos, with the places where they were taken.

@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray, UInt8
 
 from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
+from splatax.pytrees import pytree
 from splatax.splats import Splats
 from splatax.training.devices import BLOCK, exchange, exchange_back, from_all_views, own_views, sum_in_order
 from splatax.training.protocols import Source
@@ -22,7 +23,7 @@ from splatax.training.recipes import Recipe
 from splatax.training.step import Shown, Target, TrainState, shown, surroundings, weighted_loss
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Views:
     """The k training views of a step, all of one size. Photos and masks are with the devices that draw them.

@@ -7,7 +7,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import count, islice
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, UInt8
@@ -17,6 +16,7 @@ from splatax.cameras import Camera
 from splatax.cameras.rig import numbers_of_lenses
 from splatax.dataset import Mask, Pixels, View
 from splatax.gaussians import Gaussians
+from splatax.pytrees import pytree
 from splatax.training.photo_cache import Frame, PhotoCache
 from splatax.training.protocols import ResolutionSchedule, Source
 from splatax.training.resolution import Resolution
@@ -26,7 +26,7 @@ READERS = 16  # threads that read photos, at most
 FIRST = Source(np.int32(0), np.int32(0))
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Batch:
     """One training view, on the device.

@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float
 
 from splatax.gaussians import ARRAYS, Gaussians
 from splatax.math import harmonics, quaternions
+from splatax.pytrees import pytree
 from splatax.training.noise import NoNoise
 from splatax.training.protocols import Lineage, Noise, Reach, UpdateRule
 
@@ -29,7 +30,7 @@ class Adam:
         return optax.adam(1.0, self.b1, self.b2, self.eps)
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class LearningRates:
     """Learning rates of the fields (authors' code of Kerbl et al. 2023).

@@ -9,6 +9,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float, Int
 
+from splatax.pytrees import pytree
 from splatax.training.protocols import Source
 
 ADAM = optax.scale_by_adam(b1=0.9, b2=0.999, eps=1e-15)  # as for the Gaussians
@@ -17,7 +18,7 @@ ADAM = optax.scale_by_adam(b1=0.9, b2=0.999, eps=1e-15)  # as for the Gaussians
 Rows = TypeVar("Rows", bound="PerPhoto")
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class PerPhoto:
     """A table of parameters, one row for each photo, and the state of the optimizer of each row.

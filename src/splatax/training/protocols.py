@@ -10,7 +10,6 @@ from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
-import jax
 import numpy as np
 import optax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
@@ -18,6 +17,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from splatax.cameras import Camera
 from splatax.dataset import Dataset
 from splatax.gaussians import Gaussians
+from splatax.pytrees import pytree
 from splatax.splats import Splats
 from splatax.training.objectives import Geometry as Geometry
 from splatax.training.objectives import Loss as Loss
@@ -35,7 +35,7 @@ class Source(NamedTuple):
     place: Float[Array, "3"] | Float[np.ndarray, "3"] = np.zeros(3, np.float32)  # optical centre as given
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Lineage:
     """The origin of each row of a refined scene: all that the optimizer needs to follow the Gaussians.

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, Int
 from splatax import pipeline
 from splatax.gaussians import Gaussians
 from splatax.outputs import over
+from splatax.pytrees import pytree
 from splatax.scene.skeleton import Pose, spun
 from splatax.scene.skin import Rig, skin
 from splatax.training import per_photo
@@ -38,7 +39,7 @@ class Learned:
     weight_rate: float = 0.0
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class RigState:
     """The state of a run between two steps.
@@ -64,7 +65,7 @@ class RigState:
     turns: PerPhoto
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Fixed:
     """Arrays that do not change during a run; `which` is the pose of each photo."""

@@ -17,6 +17,7 @@ from splatax.drawn import Seen, unrolled
 from splatax.gaussians import Gaussians
 from splatax.low_pass import LowPass
 from splatax.outputs import over
+from splatax.pytrees import pytree
 from splatax.splats import Splats, joined
 from splatax.training import geometry
 from splatax.training.canvases import filling, on_canvas
@@ -35,7 +36,7 @@ class Faults(NamedTuple):
     gaussians: Int[Array, ""]  # Gaussians that were not finite: they were removed
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class TrainState:
     """The complete state of a run between two steps.

@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from splatax.cameras import Camera
 from splatax.errors import InputError, shown
 from splatax.math import quaternions
+from splatax.pytrees import pytree
 from splatax.scene import Part, Scene
 from splatax.transforms import Similarity
 
@@ -24,7 +25,7 @@ IDENTITY = Similarity(np.eye(3), np.zeros(3))
 TO_OPENGL = np.diag([1.0, -1.0, -1.0])  # axes of a camera: y down, z forward -> y up, z back, as in MuJoCo
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Frames:
     """Poses of bodies in the world, as one value that passes through `jit` and `vmap`.

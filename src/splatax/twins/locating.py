@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from splatax.cameras import Camera
 from splatax.cameras.geometry import points_at
 from splatax.errors import InputError
+from splatax.pytrees import pytree
 from splatax.rendering import BLACK, Renderer
 from splatax.scene import Scene
 from splatax.sensors.depth import local_points, travelled
@@ -156,7 +157,7 @@ def location_search(
         yield place.moved(steps), value
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class _Place:
     """Where a part starts, the point that it turns about, and its radius."""

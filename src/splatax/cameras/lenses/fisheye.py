@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from splatax.cameras.lenses.distortion import Angles, Distorted, polynomial, quartic_prism, tangential
+from splatax.pytrees import pytree
 
 
 class EvenPowers(Distorted, Angles):
@@ -19,7 +19,7 @@ class EvenPowers(Distorted, Angles):
         return radius * polynomial(self.radials, radius * radius)
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Fisheye(EvenPowers):
     """Fisheye of Kannala and Brandt (2006), as in OpenCV and COLMAP's OPENCV_FISHEYE.
@@ -37,7 +37,7 @@ class Fisheye(EvenPowers):
         return coordinates * polynomial(self.radials, jnp.sum(coordinates * coordinates))
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class ThinPrismFisheye(EvenPowers):
     """Fisheye with tangential and thin-prism distortion, COLMAP's THIN_PRISM_FISHEYE.
@@ -64,7 +64,7 @@ class ThinPrismFisheye(EvenPowers):
         return straight + tangential(self.tangentials, coordinates) + q * self.prism
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class RadTanThinPrismFisheye(EvenPowers):
     """Fisheye of Project Aria ("Fisheye624"), COLMAP's RAD_TAN_THIN_PRISM_FISHEYE.
@@ -91,7 +91,7 @@ class RadTanThinPrismFisheye(EvenPowers):
         return first + tangential(self.tangentials[::-1], first) + quartic_prism(self.prism, q)
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class FTheta(Distorted, Angles):
     """NVIDIA's f-theta lens: the radius on the image is a polynomial of the angle.

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 
-import jax
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
@@ -15,15 +14,16 @@ from splatax.cameras.lenses.distortion import (
     quartic_prism,
     tangential,
 )
+from splatax.pytrees import pytree
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Pinhole(Undistorted, Slopes):
     """Perspective without distortion: (x, y) / z."""
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class OpenCV(Distorted, Slopes):
     """Perspective with OpenCV's distortion: radial (rational), tangential and thin prism.
@@ -70,7 +70,7 @@ def opencv(*coefficients: float, dtype: DTypeLike = "float32") -> OpenCV:
     return OpenCV(*(jnp.asarray(array, dtype) for array in arrays))
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class FieldOfView(Distorted, Slopes):
     """Perspective distorted by an angle (Devernay and Faugeras 2001; COLMAP's FOV).

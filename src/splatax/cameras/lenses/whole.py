@@ -4,16 +4,16 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from splatax.cameras.lenses.protocol import NEAR
+from splatax.pytrees import pytree
 
 POLE = 0.1  # tangent of the angle from a pole up to which the Jacobian follows the mean
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Equirectangular:
     """Longitude and latitude, radians: the 2:1 panoramas of 360-degree cameras.
@@ -55,7 +55,7 @@ class Equirectangular:
         return jnp.array([x * away, y, z * away])
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Orthographic:
     """Parallel projection along z, as of orthophotos. Focal lengths are pixels for a world unit."""

@@ -119,16 +119,17 @@ ffi::Error rasterize_forward_mode(ffi::ThreadPool threads, FloatArray means2d, F
                                   FloatArray d_sqrt_conics, FloatArray d_opacities, FloatArray d_channels, FloatResult d_sums,
                                   FloatResult d_alpha, int64_t thread_limit, int64_t max_pairs) {
   const SplatArrays splats{means2d, sqrt_conics, depths, extents, opacities, channels};
-  const Batch batch(d_alpha, 2);
+  const Batch batch(d_alpha, 3);
   Checks checks(batch);
   const auto [n, c] = splats.check(checks);
-  const auto [h, w] = checks.sizes<2>("d_alpha", d_alpha);
+  const auto [h, w, k] = checks.sizes<3>("d_alpha", d_alpha);
   check_size(checks, w, h, max_pairs);
-  checks.shape("d_means2d", d_means2d, {n, 2}).shape("d_sqrt_conics", d_sqrt_conics, {n, 3});
-  checks.shape("d_opacities", d_opacities, {n}).shape("d_channels", d_channels, {n, c});
-  checks.shape("d_sums", d_sums, {h, w, c}).shape("d_alpha", d_alpha, {h, w});
+  checks.range("the number of directions", k, 0, MOST_ROWS);
+  checks.shape("d_means2d", d_means2d, {k, n, 2}).shape("d_sqrt_conics", d_sqrt_conics, {k, n, 3});
+  checks.shape("d_opacities", d_opacities, {k, n}).shape("d_channels", d_channels, {k, n, c});
+  checks.shape("d_sums", d_sums, {h, w, c, k}).shape("d_alpha", d_alpha, {h, w, k});
   if (checks.failed()) return checks.error("rasterize_tangent");
-  return guarded("rasterize_tangent", [&, h = h, w = w] {
+  return guarded("rasterize_tangent", [&, n = n, c = c, h = h, w = w, k = k] {
     // Directions at the same splats share a walk.
     std::map<std::array<const float*, 6>, std::vector<int>> views_at;
     for (int view = 0; view < batch.views(); ++view) {
@@ -143,8 +144,11 @@ ffi::Error rasterize_forward_mode(ffi::ThreadPool threads, FloatArray means2d, F
     each_view(static_cast<int>(groups.size()), all, *scratch, [&](int group, Workers& workers, Scratch& memory) {
       std::vector<Direction2d> directions;
       for (const int view : groups[group]) {
-        directions.push_back({batch.of(d_means2d, view), batch.of(d_sqrt_conics, view), batch.of(d_opacities, view),
-                              batch.of(d_channels, view), batch.of(d_sums, view), batch.of(d_alpha, view)});
+        for (int64_t i = 0; i < k; ++i) {
+          directions.push_back({batch.of(d_means2d, view) + 2 * n * i, batch.of(d_sqrt_conics, view) + 3 * n * i,
+                                batch.of(d_opacities, view) + n * i, batch.of(d_channels, view) + n * c * i,
+                                batch.of(d_sums, view), batch.of(d_alpha, view), static_cast<int>(i), static_cast<int>(k)});
+        }
       }
       rasterize_tangent(splats.input(batch, groups[group][0], w, h), directions.data(),
                         static_cast<int>(directions.size()), workers, memory, max_pairs);
@@ -261,7 +265,8 @@ XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_rasterize_forward, rasterize_forward,
 XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_rasterize_backward, rasterize_backward,
                               with_settings(results<5>(arrays<2>(arrays<8>(call()).Arg<Ticket>()))));
 
-// (the six of splatax_rasterize_forward, d_means2d, d_sqrt_conics, d_opacities, d_channels) -> (d_sums, d_alpha)
+// (the six of splatax_rasterize_forward, d_means2d [k n 2], d_sqrt_conics [k n 3], d_opacities [k n], d_channels [k n c]) ->
+// (d_sums [h w c k], d_alpha [h w k])
 XLA_FFI_DEFINE_HANDLER_SYMBOL(splatax_rasterize_tangent, rasterize_forward_mode,
                               with_settings(results<2>(arrays<10>(call()))));
 

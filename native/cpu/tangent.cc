@@ -31,6 +31,13 @@ struct Directions {
 
   // Channels of a row: RGB, or whole groups, padded with zeros.
   int channels() const { return part.size == 3 ? 3 : std::max((part.size + GROUP - 1) / GROUP, 1) * GROUP; }
+  // Whether their derivatives are next to each other in one image.
+  bool adjacent() const {
+    for (int k = 1; k < count; ++k) {
+      if (of[k].alpha != of[0].alpha || of[k].number != of[0].number + k) return false;
+    }
+    return true;
+  }
 };
 
 // What a walk needs of each splat, in the order of the input: channels, then shape and channels of each direction. One
@@ -217,6 +224,41 @@ struct TileTangent {
 };
 
 template <int K, int W>
+void write_sums(const Input& input, const Tile& tile, const Directions& directions, const float (&sums)[BLOCKS][K][W][LANES]) {
+  const Part part = directions.part;
+  const int together = directions.adjacent() ? directions.count : 1;
+  for (int k = 0; k < directions.count; k += together) {
+    const Direction2d& to = directions.of[k];
+    const size_t stride = static_cast<size_t>(input.channel_count) * to.spacing;
+    float* image = to.sums + static_cast<size_t>(part.first) * to.spacing + to.number;
+    if (together == to.spacing) {  // all numbers of a pixel are next to each other
+      write_pixels(input, tile, image, stride, part.size * together,
+                   [&](int b, int i) { return sums[b][k + i % together][i / together]; });
+      continue;
+    }
+    for (int c = 0; c < part.size; ++c, image += to.spacing) {
+      write_pixels(input, tile, image, stride, together, [&](int b, int i) { return sums[b][k + i][c]; });
+    }
+  }
+}
+
+// The derivative of alpha, which is 1 - T.
+template <int K>
+void write_alpha(const Input& input, const Tile& tile, const Directions& directions, const float (&transmittance)[BLOCKS][LANES],
+                 const float (&logs)[BLOCKS][K][LANES]) {
+  alignas(64) float alphas[BLOCKS][K][LANES];
+  for (int b = 0; b < BLOCKS; ++b) {
+    const Lanes T = absolute(load(transmittance[b]));
+    for (int k = 0; k < directions.count; ++k) store(alphas[b][k], -(T * load(logs[b][k])));
+  }
+  const int together = directions.adjacent() ? directions.count : 1;
+  for (int k = 0; k < directions.count; k += together) {
+    const Direction2d& to = directions.of[k];
+    write_pixels(input, tile, to.alpha + to.number, to.spacing, together, [&](int b, int i) { return alphas[b][k + i]; });
+  }
+}
+
+template <int K, int W>
 void push_part(const Input& input, const Directions& directions, Workers& workers, Scratch& scratch) {
   const Part part = directions.part;
   const Rows rows(input, directions, workers, scratch.partial_sums);
@@ -226,18 +268,8 @@ void push_part(const Input& input, const Directions& directions, Workers& worker
       if (round.begin == 0) state.clear(input, tile, directions.channels());
       state.blend(tile, rows, directions);
       if (round.end < scratch.binning.visible) return;
-      for (int k = 0; k < directions.count; ++k) {
-        const Direction2d to = directions.of[k];
-        write_pixels(input, tile, to.sums + part.first, input.channel_count, part.size,
-                     [&](int b, int c) { return state.sums[b][k][c]; });
-        if (part.first > 0) continue;
-        alignas(64) float alphas[BLOCKS][LANES];  // 1 - T
-        for (int b = 0; b < BLOCKS; ++b) {
-          const Lanes T = absolute(load(state.transmittance[b]));
-          store(alphas[b], -(T * load(state.logs[b][k])));
-        }
-        write_pixels(input, tile, to.alpha, 1, 1, [&](int b, int) { return alphas[b]; });
-      }
+      write_sums(input, tile, directions, state.sums);
+      if (part.first == 0) write_alpha(input, tile, directions, state.transmittance, state.logs);
     });
   });
 }

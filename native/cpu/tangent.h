@@ -7,10 +7,12 @@ namespace splatax {
 
 constexpr int MOST_DIRECTIONS = 6;  // of one walk: those of a camera's pose
 
-// A direction in the inputs of the same names, and where the image's derivative along it goes.
+// A direction in the inputs of the same names, and where the image's derivative along it goes: to [h w channels spacing] and
+// [h w spacing], in which `number` is its place along the last axis.
 struct Direction2d {
   const float *means2d, *sqrt_conics, *opacities, *channels;
   float *sums, *alpha;
+  int number, spacing;
 };
 
 // Writes the derivatives along `count` directions, at most MOST_DIRECTIONS.

@@ -203,6 +203,34 @@ def test_forward_mode_depends_neither_on_threads_nor_on_rounds(width):
         assert_allclose(a, b, atol=2e-5 * np.abs(b).max())
 
 
+@pytest.mark.parametrize("count", [1, 6, 8])
+@pytest.mark.parametrize("width", [1, 3, 21])
+@pytest.mark.parametrize("size", [(33, 20), (1, 1)])
+def test_derivatives_along_many_directions_are_those_along_each(size, width, count):
+    rng = np.random.default_rng(4)
+    scenes = jax.tree.map(
+        lambda *leaves: jnp.stack(leaves), *(random_splats(k, n=60, size=size) for k in range(2))
+    )
+    channels = jnp.asarray(rng.normal(size=(60, width)), jnp.float32)
+    pushes = jnp.asarray(rng.normal(size=(count, 60, 2)), jnp.float32)
+
+    def moved(scene, steps):
+        means2d = scene.means2d + jnp.tensordot(steps, pushes, 1)
+        return jnp.concatenate(
+            [cpu.BEST.composite(replace(scene, means2d=means2d), channels)[0].ravel(), steps]
+        )
+
+    def both(steps):
+        return jax.vmap(moved, (0, None))(scenes, steps)
+
+    still, axes = jnp.zeros(count), jnp.eye(count)
+    one_by_one = jnp.stack([jax.jvp(both, (still,), (axis,))[1] for axis in axes], axis=-1)
+    by_view = jax.vmap(lambda scene: jax.jacfwd(lambda steps: moved(scene, steps))(still))(scenes)
+    assert_allclose(by_view, one_by_one, rtol=1e-5, atol=1e-6)
+    assert_allclose(jax.jacfwd(both)(still), one_by_one, rtol=1e-5, atol=1e-6)
+    assert np.abs(one_by_one[:, :-count]).max() > 0.01
+
+
 @pytest.mark.parametrize("threads", [0, 1, 2])
 def test_a_batch_gives_the_same_bits_as_its_views_one_by_one(threads):
     scenes = [random_splats(seed, n=200) for seed in range(3)]

@@ -18,7 +18,7 @@ gradient and the gradient of a `jvp` work as for the functions of JAX.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -41,14 +41,8 @@ class LinearMap(Protocol):
         """Returns the cotangents of the inputs: the transpose of `apply`."""
         ...
 
-    def batched(self, size: int, residuals: Dims, tangents: Dims) -> "LinearMap | None":
-        """Returns a faster map for a batch, or None for the one that `jax.vmap` makes.
-
-        Args:
-            size: of the batch.
-            residuals: the dimensions of the leaves of the residuals.
-            tangents: the dimensions of the tangents.
-        """
+    def batched(self, each: "Batched") -> "OfBatch | None":
+        """Returns a faster map for a batch than `each`, which `jax.vmap` makes; None if there is none."""
         ...
 
 
@@ -62,6 +56,18 @@ class Curved(LinearMap, Protocol):
         It has the structure of the residuals; leaves of integers may be anything.
         """
         ...
+
+
+class OfBatch(NamedTuple):
+    """A linear map of a batch.
+
+    Attributes:
+        linear_map: the map, whose arguments have the batch as their first axis.
+        axis: that of the batch in what it returns, 0 or -1.
+    """
+
+    linear_map: LinearMap
+    axis: int = 0
 
 
 def curvature(
@@ -133,7 +139,7 @@ class Batched:
             for array, dim in zip(each, self.tangents, strict=True)
         )
 
-    def batched(self, size: int, residuals: Dims, tangents: Dims) -> None:
+    def batched(self, each: "Batched") -> None:
         """Returns None: a batch of batches is one more `jax.vmap`."""
 
     def curvature(self, residuals: Any, tangents: tuple[Array, ...], cotangents: tuple[Array, ...]) -> Any:
@@ -186,7 +192,7 @@ class Moving:
         gradients = jax.tree.leaves(found)
         return tuple(gradients[i] for i in self.moving)
 
-    def batched(self, size: int, residuals: Dims, tangents: Dims) -> None:
+    def batched(self, each: "Batched") -> None:
         """Returns None: the map of a batch is made by `jax.vmap`."""
 
 
@@ -248,12 +254,12 @@ def _batch(arrays: Any, dims: Any, *, linear_map: LinearMap, structure: Any, typ
     ]
     places = tuple(None if dim is None else 0 for dim in dims)
     own, tangents = places[: structure.num_leaves], places[structure.num_leaves :]
-    map_of_batch = linear_map.batched(size, own, tangents)
-    if map_of_batch is None:
-        map_of_batch = Batched(linear_map, structure, own, tangents)
-    types = tuple(kind.update(shape=(size, *kind.shape)) for kind in types)
-    out = linear_p.bind(*arrays, linear_map=map_of_batch, structure=structure, types=types)
-    return out, [0] * len(out)
+    each = Batched(linear_map, structure, own, tangents)
+    of_batch = linear_map.batched(each) or OfBatch(each)
+    shapes = [(size, *kind.shape) if of_batch.axis == 0 else (*kind.shape, size) for kind in types]
+    types = tuple(kind.update(shape=shape) for kind, shape in zip(types, shapes, strict=True))
+    out = linear_p.bind(*arrays, linear_map=of_batch.linear_map, structure=structure, types=types)
+    return out, [of_batch.axis % len(shape) for shape in shapes]
 
 
 linear_p = Primitive("splatax_linear")

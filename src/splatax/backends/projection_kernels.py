@@ -5,7 +5,7 @@ others, and second derivatives. Gradients, and tangents where the kernel has the
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Protocol, runtime_checkable
 
@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 from splatax import projection
 from splatax.backends.foreign import Shape
-from splatax.backends.linear import Batched, Dims, linear_call
+from splatax.backends.linear import Batched, OfBatch, linear_call
 from splatax.backends.packed_cameras import POSE_END, Layout, PackedCamera, packed, packed_lens
 from splatax.cameras import Camera
 from splatax.footprints import EWA, Method
@@ -182,12 +182,12 @@ class Derivative:
         """Returns the gradients of the Gaussians' arrays and of the camera."""
         return _pull_back(residuals, cotangents, self.settings)
 
-    def batched(self, size: int, residuals: Dims, tangents: Dims) -> "SharedScene | None":
+    def batched(self, each: Batched) -> OfBatch | None:
         """Returns the map of a batch of cameras that share a scene; None for other batches."""
         scene = (None,) * len(FIELDS)
-        shares = residuals == (*scene, 0, 0) and tangents[:5] == scene
+        shares = each.residuals == (*scene, 0, 0) and each.tangents[:5] == scene
         if self.settings.kernel.shares_scenes and shares:
-            return SharedScene(self.settings, Batched(self, RESIDUALS, residuals, tangents))
+            return OfBatch(SharedScene(self.settings, each))
         return None
 
 
@@ -216,9 +216,9 @@ class SharedScene:
             d_camera = jnp.sum(d_camera, axis=0)
         return (*(array[0] for array in scene), d_camera)
 
-    def batched(self, size: int, residuals: Dims, tangents: Dims) -> Batched:
+    def batched(self, each: Batched) -> OfBatch:
         """Returns the map that `jax.vmap` makes of the same derivative, camera by camera."""
-        return Batched(self.each, RESIDUALS, residuals, tangents)
+        return OfBatch(replace(each, inner=self.each))
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(2,))

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from splatax import along_rays, losses, moving, projection, surfaces
-from splatax.backends.linear import Dims, linear_call
+from splatax.backends.linear import Batched, linear_call
 from splatax.backends.protocol import Kernels, Selection
 from splatax.splats import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, Splats
 
@@ -105,7 +105,7 @@ class Watched:
         (gradient,) = cotangents
         return jnp.sum(gradient, axis=0), -gradient, jnp.abs(gradient)
 
-    def batched(self, size: int, residuals: Dims, tangents: Dims) -> None:
+    def batched(self, each: Batched) -> None:
         """Returns None: the map of a batch is made by `jax.vmap`."""
 
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from splatax.backends import portable
 from splatax.backends.cpu import drawing, slanted
 from splatax.backends.cpu.library import Build
-from splatax.backends.linear import Dims
+from splatax.backends.linear import Batched, OfBatch
 from splatax.backends.portable.composite import DERIVATIVE, directions, forward
 from splatax.backends.protocol import Selection
 from splatax.backends.splat_kernels import (
@@ -75,28 +75,74 @@ class Walk:
     def apply(self, residuals, tangents: tuple[Array, ...]) -> tuple[Array, ...]:
         """Returns the tangents of the image."""
         splats, channels, *_ = residuals
-        return _push((splats, channels), tangents[:4], self.build, self.max_pairs)
+        one = tuple(tangent[None] for tangent in tangents[:4])
+        return tuple(image[..., 0] for image in _push((splats, channels), one, self.build, self.max_pairs))
 
     def transpose(self, residuals, cotangents: tuple[Array, ...]) -> tuple[Array, ...]:
         """Returns the gradients of what the image depends on, and of `pull`."""
         return directions(*_pull_back(residuals, cotangents, self.build, self.max_pairs))
 
-    def batched(self, size: int, residuals: Dims, tangents: Dims) -> None:
-        """Returns None: native calls take batches."""
+    def batched(self, each: Batched) -> OfBatch | None:
+        """Returns the map of several directions at the same splats. Native calls take other batches."""
+        if any(dim is not None for dim in each.residuals):
+            return None
+        return OfBatch(ManyDirections(self, each), axis=-1)
 
     def curvature(self, residuals, tangents: tuple[Array, ...], cotangents: tuple[Array, ...]):
         """Returns the gradient in the splats and channels, by the portable kernel."""
         return curvature(residuals, tangents, cotangents)
 
 
+@dataclass(frozen=True)
+class ManyDirections:
+    """The derivative of one image along several directions, which are the last axis of what it returns.
+
+    It is the axis that `jax.jacfwd` returns, so no image is transposed.
+
+    Attributes:
+        walk: of the image.
+        each: the same derivative, direction by direction.
+    """
+
+    walk: Walk
+    each: Batched
+
+    def apply(self, residuals, tangents: tuple[Array, ...]) -> tuple[Array, ...]:
+        """Returns the tangents of the image along all directions."""
+        splats, channels, *_ = residuals
+        dims = self.each.tangents
+        count = next(len(tangent) for tangent, dim in zip(tangents, dims, strict=True) if dim is not None)
+        whole = tuple(
+            jnp.broadcast_to(tangent, (count, *tangent.shape)) if dim is None else tangent
+            for tangent, dim in zip(tangents[:4], dims[:4], strict=True)
+        )
+        return _push((splats, channels), whole, self.walk.build, self.walk.max_pairs)
+
+    def transpose(self, residuals, cotangents: tuple[Array, ...]) -> tuple[Array, ...]:
+        """Returns the gradients of each direction, and sums those of what the directions share."""
+        return self.each.transpose(residuals, _first(cotangents))
+
+    def batched(self, each: Batched) -> None:
+        """Returns None: native calls take batches."""
+
+    def curvature(self, residuals, tangents: tuple[Array, ...], cotangents: tuple[Array, ...]):
+        """Returns the gradient in the splats and channels, summed over the directions."""
+        return self.each.curvature(residuals, tangents, _first(cotangents))
+
+
+def _first(images: tuple[Array, ...]) -> tuple[Array, ...]:
+    return tuple(jnp.moveaxis(image, -1, 0) for image in images)
+
+
 @partial(jax.custom_jvp, nondiff_argnums=(2, 3))
 def _push(point, tangents: tuple[Array, ...], build: Build, max_pairs: int) -> tuple[Array, ...]:
+    """Returns the tangents of the image. Directions are the first axis of `tangents` and the last one here."""
     splats, channels = point
-    size = (splats.height, splats.width)
+    size, count = (splats.height, splats.width), len(tangents[0])
     return tuple(
         build.call(
             "splatax_rasterize_tangent",
-            [(*size, channels.shape[1]), size],
+            [(*size, channels.shape[1], count), (*size, count)],
             [*inputs_of(splats, channels), *tangents],
             batches=True,
             max_pairs=np.int64(max_pairs),
@@ -107,8 +153,9 @@ def _push(point, tangents: tuple[Array, ...], build: Build, max_pairs: int) -> t
 @_push.defjvp
 def _(build: Build, max_pairs: int, primals, tangents):
     # Second derivatives come from the portable kernel, which JAX differentiates.
-    def push(point, directions):
-        return DERIVATIVE.apply(forward(*point)[1], directions)
+    def push(point, tangents):
+        along = partial(DERIVATIVE.apply, forward(*point)[1])
+        return jax.vmap(along, out_axes=-1)(tangents)
 
     return _push(*primals, build, max_pairs), jax.jvp(push, primals, tangents)[1]
 

@@ -16,7 +16,7 @@ from jaxtyping import Array
 
 from splatax import surfaces
 from splatax.backends.cpu.library import Build
-from splatax.backends.linear import Dims, linear_call
+from splatax.backends.linear import Batched, linear_call
 from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
 from splatax.splats import Splats
@@ -76,7 +76,7 @@ class Derivative:
         """Returns the gradients of the rows' fields but the extents."""
         return _pull_back(residuals, tuple(cotangents), self.build)
 
-    def batched(self, size: int, residuals: Dims, tangents: Dims) -> None:
+    def batched(self, each: Batched) -> None:
         """Returns None: the map of a batch is made by `jax.vmap`, and the library takes batches."""
 
 

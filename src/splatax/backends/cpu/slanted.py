@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from splatax import along_rays
 from splatax.backends.cpu import drawing
 from splatax.backends.cpu.library import Build
-from splatax.backends.linear import Dims
+from splatax.backends.linear import Batched
 from splatax.backends.portable.composite import DERIVATIVE, directions, forward
 from splatax.backends.portable.slanted import Slanted
 from splatax.backends.splat_kernels import curvature, second_derivative
@@ -89,7 +89,7 @@ class Walk:
         """Returns the gradients of what the image depends on, and of `pull`."""
         return directions(*_pull_back(residuals, cotangents, self.build, self.max_pairs))
 
-    def batched(self, size: int, residuals: Dims, tangents: Dims) -> None:
+    def batched(self, each: Batched) -> None:
         """Returns None: `jax.vmap` calls the derivative once for each element."""
 
     def curvature(self, residuals, tangents: tuple[Array, ...], cotangents: tuple[Array, ...]):

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from splatax.backends.batchable import Places, batchable_call
 from splatax.backends.cpu.library import Build
-from splatax.backends.linear import Dims, linear_call
+from splatax.backends.linear import Batched, linear_call
 from splatax.backends.projection_kernels import FIELDS, packed
 from splatax.backends.protocol import Composite, Project
 from splatax.cameras import Camera
@@ -160,7 +160,7 @@ class Derivative:
         """Returns the gradients of the scene, summed over the views, and of the cameras."""
         return _pull_back(residuals, tuple(cotangents), self.view)
 
-    def batched(self, size: int, residuals: Dims, tangents: Dims) -> None:
+    def batched(self, each: Batched) -> None:
         """Returns None: a batch of batches is drawn batch by batch."""
 
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from splatax.backends import portable
 from splatax.backends.cuda.library import Library
 from splatax.backends.foreign import Shape
-from splatax.backends.linear import Dims, linear_call
+from splatax.backends.linear import Batched, linear_call
 from splatax.backends.portable.composite import DERIVATIVE, directions, forward
 from splatax.backends.splat_kernels import (
     curvature,
@@ -107,7 +107,7 @@ class Derivative:
         """Returns the gradients of what the image depends on, and of `pull`."""
         return directions(*_pull_back(residuals, cotangents, self.library, self.max_pairs))
 
-    def batched(self, size: int, residuals: Dims, tangents: Dims) -> None:
+    def batched(self, each: Batched) -> None:
         """Returns None: `jax.vmap` calls the derivative once for each element."""
 
     def curvature(self, residuals, tangents: tuple[Array, ...], cotangents: tuple[Array, ...]):

@@ -21,7 +21,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from splatax.backends.linear import Dims, linear_call
+from splatax.backends.linear import Batched, linear_call
 from splatax.backends.portable import blending
 from splatax.backends.portable.binning import Boxes, Cursor, Grid, Round, bin_round, tile_boxes
 from splatax.backends.portable.rounds import at_start, for_each_round, inside, response_of, table_of
@@ -156,7 +156,7 @@ class Derivative:
         """Returns the gradients of what the image depends on, and of `pull`."""
         return directions(*gradient(residuals, cotangents))
 
-    def batched(self, size: int, residuals: Dims, tangents: Dims) -> None:
+    def batched(self, each: Batched) -> None:
         """Returns None: the map of a batch is made by `jax.vmap`."""
 
     def curvature(
@@ -263,7 +263,7 @@ class ChangeOfGradient:
         d_splats, d_channels = curvature_of_blend(splats, channels, cotangents, of_image)
         return (*directions(d_splats, d_channels), *pushed(splats, channels, cotangents))
 
-    def batched(self, size: int, residuals: Dims, tangents: Dims) -> None:
+    def batched(self, each: Batched) -> None:
         """Returns None: the map of a batch is made by `jax.vmap`."""
 
 

@@ -136,7 +136,7 @@ def _first(images: tuple[Array, ...]) -> tuple[Array, ...]:
 
 @partial(jax.custom_jvp, nondiff_argnums=(2, 3))
 def _push(point, tangents: tuple[Array, ...], build: Build, max_pairs: int) -> tuple[Array, ...]:
-    """Returns the tangents of the image. Directions are the first axis of `tangents` and the last one here."""
+    """Returns tangents of the image. Directions are the first axis of `tangents`, and the last one here."""
     splats, channels = point
     size, count = (splats.height, splats.width), len(tangents[0])
     return tuple(

@@ -74,10 +74,10 @@ class View:
 
     name: str
     camera: Camera
-    pixels: Callable[[], Pixels]
-    mask: Callable[[], Mask] | None = None
-    landmarks: Callable[[], Float[np.ndarray, "_ 3"]] | None = None
-    truth: Callable[[], TrueGeometry] | None = None
+    pixels: Callable[[], Pixels] = field(repr=False)
+    mask: Callable[[], Mask] | None = field(default=None, repr=False)
+    landmarks: Callable[[], Float[np.ndarray, "_ 3"]] | None = field(default=None, repr=False)
+    truth: Callable[[], TrueGeometry] | None = field(default=None, repr=False)
     face_of: str | None = None
 
     @property
@@ -176,7 +176,7 @@ class Block:
     extent: float | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Dataset:
     """Capture for training and evaluation.
 
@@ -199,6 +199,11 @@ class Dataset:
     survey: Survey = field(default_factory=Survey)
     split: str = ""
     block: Block | None = None
+
+    def __repr__(self) -> str:
+        """Returns the numbers of views and points; a notebook shows it."""
+        train, test, points = len(self.train), len(self.test), len(self.points)
+        return f"Dataset({train:,} training views, {test:,} held-out views, {points:,} points)"
 
     @cached_property
     def views(self) -> tuple[View, ...]:

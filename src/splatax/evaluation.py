@@ -16,6 +16,7 @@ from splatax.errors import DatasetError, InputError
 from splatax.gaussians import Gaussians
 from splatax.lpips import Lpips
 from splatax.rendering import BackgroundLike, Renderer
+from splatax.shapes import check_kind
 
 PROTOCOL = {  # how scores are computed, in words
     "images": "rounded to 8 bits, at the size they were loaded in",
@@ -102,9 +103,13 @@ def evaluate(
         lpips: the metric to compute as well; None for none.
 
     Raises:
-        DatasetError: if a photo is too small to be compared, or its mask leaves too little of it.
+        DatasetError: if there are no views, or a photo is too small to be compared, or masked too much.
+        TypeError: if a data set or one view is given instead of views.
     """
+    check_kind("views", views, Iterable, "Give several, such as dataset.test, or [view].")
     views = tuple(views)
+    if not views:
+        raise DatasetError("There are no views to score. Hold some out when the capture is loaded.")
     return scores_of(views, [score for score, *_ in compared(gaussians, views, renderer, lpips)])
 
 

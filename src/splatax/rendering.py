@@ -37,8 +37,8 @@ from splatax.scene import Drawable, seen
 from splatax.shapes import check_arrays
 from splatax.sky import Surroundings
 from splatax.splats import Splats
+from splatax.stages import check_manner, dtype_of
 from splatax.stages import composite as composite
-from splatax.stages import dtype_of
 from splatax.stages import project as project
 from splatax.stages import select as select
 from splatax.varying import vary_together
@@ -83,6 +83,7 @@ class Renderer:
         features: Features | None = None,
     ) -> Rendering:
         """Renders a scene; see `render`."""
+        check_manner(self.low_pass, self.projection)
         requested = resolve(outputs)
         scene = seen.checked(scene)
         first, *_ = seen.means_of(scene).values()
@@ -134,6 +135,7 @@ def render(
         projection: how a Gaussian's image is found, `Ewa()` or `Unscented()`; see `splatax.footprints`.
 
     Raises:
+        TypeError: if the scene, the camera, `low_pass` or `projection` is of another kind.
         ValueError: if the shapes or dtypes of the arrays do not fit together, an output is unknown, or the
             backend is unknown or not available here.
     """
@@ -182,6 +184,8 @@ def _checked(background: BackgroundLike, image: Camera | Splats, dtype: jnp.dtyp
     Raises:
         ValueError: if it is neither one colour nor one for each pixel.
     """
+    if isinstance(background, str):
+        raise ValueError(f"background is the text {background!r}. Give RGB, such as splatax.WHITE.")
     behind = jnp.asarray(background, dtype)
     if behind.shape not in ((3,), (image.height, image.width, 3)):
         raise ValueError(

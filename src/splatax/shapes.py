@@ -7,6 +7,7 @@ number in all arrays of a call. Native code checks shapes again.
 import sys
 from collections.abc import Mapping
 from functools import lru_cache
+from types import UnionType
 from typing import Any, TypeGuard
 
 import jax
@@ -20,6 +21,23 @@ def is_number(value: Any) -> TypeGuard[float]:
     """Returns whether a value that a file holds is a finite number, which truth values are not."""
     sort = isinstance(value, int | float) and not isinstance(value, bool)
     return sort and abs(value) <= sys.float_info.max  # also for integers that no float holds
+
+
+def check_kind(name: str, value: Any, kind: type | UnionType, way_out: str) -> None:
+    """Checks the kind of an argument, so that a mistake is named where it was made.
+
+    Args:
+        name: of the argument, for the message.
+        value: the argument.
+        kind: what it must be an instance of.
+        way_out: sentence that says what to give instead.
+
+    Raises:
+        TypeError: if it is of another kind.
+    """
+    if not isinstance(value, kind):
+        found = f"the text {value!r}" if isinstance(value, str) else f"of the type {type(value).__name__}"
+        raise TypeError(f"{name} is {found}. {way_out}")
 
 
 def check_arrays(owner: str, arrays: Mapping[str, tuple[Any, str]]) -> Mapping[str, int]:

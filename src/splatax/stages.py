@@ -14,6 +14,7 @@ from splatax.cameras import Camera
 from splatax.footprints import EWA, Method
 from splatax.low_pass import LowPass
 from splatax.scene import Drawable, seen
+from splatax.shapes import check_kind
 from splatax.splats import Splats
 
 
@@ -43,8 +44,10 @@ def project(
         The 2D Gaussians that the camera sees, one row for each Gaussian, in the same order.
 
     Raises:
+        TypeError: as `render`.
         ValueError: as `render`.
     """
+    check_manner(low_pass, projection)
     scene = seen.checked(scene)
     first, *_ = seen.means_of(scene).values()
     return pipeline.project(scene, camera, low_pass, backends.resolve(backend, dtype_of(first)), projection)
@@ -92,6 +95,16 @@ def composite(
     """
     views.checked(splats, channels)
     return pipeline.composite(splats, channels, backends.resolve(backend, dtype_of(splats.means2d)))
+
+
+def check_manner(low_pass: LowPass | None, projection: Method) -> None:
+    """Checks that a filter and a way to project are such.
+
+    Raises:
+        TypeError: if one is of another kind, such as its name.
+    """
+    check_kind("low_pass", low_pass, LowPass | None, "Give a filter, such as splatax.Antialiasing().")
+    check_kind("projection", projection, Method, "Give Ewa() or Unscented() of splatax.footprints.")
 
 
 def dtype_of(array: Array | np.ndarray) -> np.dtype:

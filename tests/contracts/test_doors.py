@@ -5,6 +5,7 @@ half under the address and undefined-behaviour sanitizers.
 """
 
 import re
+import warnings
 from dataclasses import fields, replace
 from functools import cache
 
@@ -20,11 +21,16 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scenes import camera_at, random_gaussians, random_splats
 from splatax import backends
 from splatax.backends import cpu
-from splatax.cameras import lenses
+from splatax.cameras import Camera, lenses
+from splatax.dataset import Dataset, PointCloud, View
+from splatax.errors import DatasetError
+from splatax.evaluation import evaluate
 from splatax.losses import Photometric
 from splatax.low_pass import Antialiasing, Dilation
 from splatax.moving import Moments, Rule, Step
 from splatax.rendering import Renderer, composite, project, rasterize, render, select
+from splatax.training import recipes
+from splatax.training.loop import fit
 from splatax.training.optimizer import LearningRates
 
 N, SIZE = 12, (10, 7)
@@ -173,7 +179,60 @@ def test_lists_instead_of_arrays_are_refused():
         render(replace(GAUSSIANS, quats=GAUSSIANS.quats.tolist()), CAMERA)
 
 
+VIEW = View("a.png", CAMERA, lambda: np.zeros((*SIZE[::-1], 3), np.uint8))
+CAPTURE = Dataset((VIEW,), (), PointCloud(np.zeros((0, 3)), np.zeros((0, 3))))
+
+
+@pytest.mark.parametrize(
+    ("call", "told"),
+    [
+        (lambda: render(CAMERA, GAUSSIANS), "the scene is of the type Camera. Give Gaussians"),
+        (lambda: render(GAUSSIANS, VIEW), "the camera is of the type View. Give one Camera"),
+        (lambda: project(GAUSSIANS, [CAMERA]), "the camera is of the type list. Give one Camera"),
+        (
+            lambda: render(GAUSSIANS, CAMERA, low_pass="antialiasing"),
+            "low_pass is the text 'antialiasing'. Give",
+        ),
+        (lambda: project(GAUSSIANS, CAMERA, low_pass="dilation"), "low_pass is the text 'dilation'. Give"),
+        (lambda: render(GAUSSIANS, CAMERA, projection="ewa"), "projection is the text 'ewa'. Give Ewa"),
+        (lambda: evaluate(GAUSSIANS, VIEW), "views is of the type View. Give several"),
+        (
+            lambda: evaluate(GAUSSIANS, CAPTURE),
+            "views is of the type Dataset. Give several, such as dataset.test",
+        ),
+        (lambda: fit(CAPTURE.train, recipes.default()), "dataset is of the type tuple. Give one"),
+        (lambda: fit(CAPTURE, "default"), "recipe is the text 'default'. Give one, such as"),
+    ],
+)
+def test_an_argument_of_another_kind_is_named_with_the_way_out(call, told):
+    with pytest.raises(TypeError, match=re.escape(told)):
+        call()
+
+
+def test_a_colour_by_name_no_views_and_half_a_step_are_refused():
+    with pytest.raises(ValueError, match=r"background is the text 'white'. Give RGB, such as splatax.WHITE"):
+        render(GAUSSIANS, CAMERA, background="white")
+    with pytest.raises(DatasetError, match="no views to score"):
+        evaluate(GAUSSIANS, [])
+    for wrong in (0, -5, 10.5):
+        with pytest.raises(ValueError, match=f"at least one of its steps, and a whole number, not {wrong}"):
+            fit(CAPTURE, recipes.default(steps=wrong))
+
+
 # --- what is allowed ---
+
+
+def test_a_camera_from_a_double_precision_pose_has_the_dtype_that_jax_computes_in():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        camera = Camera.simple_pinhole(8.0, np.asarray(CAMERA.cam_from_world, np.float64), *SIZE)
+    assert camera.fx.dtype == np.float32
+    assert render(GAUSSIANS, camera).rgb.shape == (*SIZE[::-1], 3)
+
+
+def test_a_data_set_and_its_views_are_shown_in_a_line():
+    assert repr(CAPTURE) == "Dataset(1 training views, 0 held-out views, 0 points)"
+    assert "function" not in repr(VIEW)
 
 
 def test_a_background_is_one_colour_or_one_for_each_pixel(backend):

@@ -10,7 +10,7 @@ from splatax.cameras.lenses import Lens, Pinhole
 from splatax.cameras.motion import RollingShutter
 from splatax.math import rigid
 from splatax.pytrees import pytree
-from splatax.shapes import check_arrays, check_size
+from splatax.shapes import check_arrays, check_kind, check_size
 
 SEARCHES = 6  # for the row that sees a point; the camera moves little during the exposure
 
@@ -53,7 +53,7 @@ class Camera:
         cls, focal: float, cam_from_world: Float[Array, "4 4"], width: int, height: int
     ) -> "Camera":
         """Returns a camera with one focal length, pixels, and its principal point at the image's centre."""
-        dtype = cam_from_world.dtype
+        dtype = jax.dtypes.canonicalize_dtype(cam_from_world.dtype)
         f, cx, cy = (jnp.asarray(value, dtype) for value in (focal, width / 2, height / 2))
         return cls(f, f, cx, cy, cam_from_world, width, height)
 
@@ -191,9 +191,11 @@ def checked(camera: Camera) -> Camera:
     It checks only shapes and dtypes, so it works on traced arrays.
 
     Raises:
+        TypeError: if it is no camera.
         ValueError: if a shape or dtype is wrong, or the image has no size. Stacked cameras are refused too:
             use `jax.vmap`.
     """
+    check_kind("the camera", camera, Camera, "Give one Camera, such as the `camera` of a view.")
     arrays = {name: (getattr(camera, name), "") for name in ("fx", "fy", "cx", "cy")}
     arrays["cam_from_world"] = (camera.cam_from_world, "4 4")
     if not isinstance(camera.lens, Lens):

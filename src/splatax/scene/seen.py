@@ -14,7 +14,7 @@ from splatax import gaussians as clouds
 from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
 from splatax.scene.parts import Part, Scene, masked
-from splatax.shapes import check_arrays
+from splatax.shapes import check_arrays, check_kind
 
 Drawable = Gaussians | Scene
 
@@ -25,8 +25,12 @@ def checked(scene: Drawable) -> Drawable:
     It checks only shapes and dtypes, so it works on traced arrays.
 
     Raises:
+        TypeError: if it is no scene.
         ValueError: if a shape or dtype is wrong. The message names the part.
     """
+    check_kind(
+        "the scene", scene, Drawable, "Give Gaussians, or a Scene of parts; the camera comes after it."
+    )
     if isinstance(scene, Gaussians):
         return clouds.checked(scene)
     return Scene({name: _checked(name, part) for name, part in scene.parts.items()})

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from numbers import Integral
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +15,7 @@ from splatax.dataset import Dataset
 from splatax.errors import DatasetError
 from splatax.gaussians import Gaussians
 from splatax.low_pass import LowPass
+from splatax.shapes import check_kind
 from splatax.training.capacity import bucket_for, pad, without_broken
 from splatax.training.feed import rows_for
 from splatax.training.fingerprints import facts_of
@@ -121,13 +123,17 @@ def optimize(
     Raises:
         DatasetError: if there are no training views, or nothing to start from that they see.
         InputError: if processes that make the steps together have other settings, captures or states.
+        TypeError: if the data set or the recipe is of another kind.
         ValueError: if the recipe has no steps, none are left, its backend is not available, or the devices do
             not divide the views of a step.
     """
+    check_kind("dataset", dataset, Dataset, "Give one, such as that of splatax.load_dataset(folder).")
+    check_kind("recipe", recipe, Recipe, "Give one, such as splatax.recipes.default(steps=2000).")
     if not dataset.train:
         raise DatasetError("The capture has no photos to train on.")
-    if recipe.steps < 1:
-        raise ValueError(f"a recipe needs at least one step, not {recipe.steps}")
+    for name, count in (("steps", recipe.steps), ("views", recipe.views)):
+        if not isinstance(count, Integral) or count < 1:
+            raise ValueError(f"a recipe needs at least one of its {name}, and a whole number, not {count}")
     recipe = recipe.on(backends.resolve(recipe.drawing.backend))
     if start is None:
         gaussians = recipe.initialization(dataset, recipe.sh.degree, recipe.seed)

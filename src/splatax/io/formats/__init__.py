@@ -158,7 +158,8 @@ def size_of(path: Path) -> int:
 
 def _readable(path: Path) -> ModuleType:
     if not path.is_file():
-        raise FormatError(f"{path}: no such file. Give a splat file, such as the scene.ply of a run.")
+        found = "a folder" if path.is_dir() else "no such file"
+        raise FormatError(f"{path}: {found}. Give a splat file, such as the scene.ply of a run.")
     return format_of(path)
 
 

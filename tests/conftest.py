@@ -23,9 +23,9 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     atexit.register(shutil.rmtree, os.environ["JAX_COMPILATION_CACHE_DIR"], ignore_errors=True)
 
 import jax
+import jaxtyping
 import numpy as np
 import pytest
-from jaxtyping import install_import_hook
 
 gc.set_threshold(200_000, 50, 100)  # tracing allocates much that lives on
 _register = jax.tree_util.register_pytree_with_keys
@@ -39,7 +39,7 @@ def _register_unchecked(record, *functions):
 
 
 jax.tree_util.register_pytree_with_keys = _register_unchecked
-install_import_hook("splatax", "beartype.beartype")
+jaxtyping.install_import_hook("splatax", "beartype.beartype")
 if "SPLATAX_NATIVE" in os.environ:  # another build of the native library: `make sanitize`
     from splatax.backends.cpu import library
 
@@ -63,6 +63,14 @@ def few_programs():
     yield
     if next(_tests) % 20 == 0 and MAPPINGS.exists() and MAPPINGS.read_bytes().count(b"\n") > MOST_MAPPINGS:
         jax.clear_caches()
+
+
+@pytest.fixture
+def as_users_have_it():
+    """Switches off the checks of types and shapes that the tests add to every function."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
 
 
 @pytest.fixture

@@ -38,6 +38,12 @@ class Similarity:
     def __post_init__(self) -> None:
         if any(isinstance(leaf, jax.core.Tracer) for leaf in self._leaves()):
             return
+        shapes = np.shape(self.rotation), np.shape(self.translation), np.shape(self.scale)
+        if shapes != ((3, 3), (3,), ()):
+            raise ValueError(
+                f"rotation, translation and scale have the shapes {', '.join(map(str, shapes))}. They must "
+                "have (3, 3), (3,) and (); a 4 x 4 matrix has them in matrix[:3, :3] and matrix[:3, 3]."
+            )
         if not (np.isfinite(self.translation).all() and 0 < self.scale < np.inf):
             raise ValueError(
                 f"scale {self.scale} and translation {self.translation}: must be finite, scale > 0"

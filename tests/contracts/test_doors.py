@@ -11,7 +11,6 @@ from functools import cache
 
 import jax
 import jax.numpy as jnp
-import jaxtyping
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -59,11 +58,8 @@ WRONG_DTYPES = (np.int32, np.float16, np.bool_, np.uint8)
 
 
 @pytest.fixture(autouse=True)
-def installed_as_users_have_it():
-    """Switches off the shape checks that the tests add to every function, which users do not have."""
-    jaxtyping.config.update("jaxtyping_disable", True)
-    yield
-    jaxtyping.config.update("jaxtyping_disable", False)
+def installed(as_users_have_it):
+    pass
 
 
 @st.composite

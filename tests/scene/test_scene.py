@@ -1,5 +1,6 @@
 """The records of a scene of parts: names, order, colour maps, and refusals."""
 
+import re
 from dataclasses import replace
 
 import jax
@@ -108,3 +109,26 @@ def test_parts_of_different_filters_are_drawn_and_not_baked():
 def test_what_is_no_scene_is_refused_with_the_part_named(call, message):
     with pytest.raises(ValueError, match=message):
         call()
+
+
+@pytest.mark.parametrize(
+    ("call", "told"),
+    [
+        (lambda: sx.Scene([sx.Part(CLOUD)]), "parts is of the type list. Give them by name"),
+        (lambda: sx.Scene({1: sx.Part(CLOUD)}), "the name 1 of a part is of the type int"),
+        (lambda: sx.Scene({"a": CLOUD}), "part 'a' is of the type Gaussians. Give Part"),
+        (
+            lambda: sx.Part(CLOUD, pose=np.eye(4)),
+            "the pose of part 'a' is of the type ndarray. Give a Similarity",
+        ),
+        (
+            lambda: sx.Part(CLOUD, color=(1, 0, 0)),
+            "the color of part 'a' is of the type tuple. Give a ColorMap",
+        ),
+        (lambda: sx.Part("a.ply"), "gaussians of part 'a' is the text 'a.ply'. Give Gaussians"),
+        (lambda: Similarity(np.eye(4), np.zeros(3)), "have the shapes (4, 4), (3,), ()"),
+    ],
+)
+def test_what_a_scene_cannot_be_made_of_is_named_with_the_way_out(as_users_have_it, call, told):
+    with pytest.raises((TypeError, ValueError), match=re.escape(told)):
+        sx.render(sx.Scene({"a": call()}), camera_at())

@@ -13,6 +13,7 @@ from splatax import gaussians as clouds
 from splatax.gaussians import Gaussians
 from splatax.pytrees import pytree
 from splatax.scene.colors import ColorMap
+from splatax.shapes import check_kind
 from splatax.transforms import Similarity
 
 IDENTITY = Similarity(np.eye(3), np.zeros(3))
@@ -62,8 +63,12 @@ class Scene:
     parts: Mapping[str, Part]
 
     def __post_init__(self) -> None:
+        check_kind("parts", self.parts, Mapping, "Give them by name, such as {'car': Part(gaussians)}.")
         if not self.parts:
             raise ValueError("a scene without parts. Give at least one, such as {'car': Part(gaussians)}.")
+        for name, part in self.parts.items():
+            check_kind(f"the name {name!r} of a part", name, str, "Give a text.")
+            check_kind(f"part {name!r}", part, Part, "Give Part(gaussians), with a pose if it has one.")
         object.__setattr__(self, "parts", dict(self.parts))
 
     def tree_flatten_with_keys(self):

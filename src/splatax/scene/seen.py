@@ -13,8 +13,10 @@ from jaxtyping import Array
 from splatax import gaussians as clouds
 from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
+from splatax.scene.colors import ColorMap
 from splatax.scene.parts import Part, Scene, masked
 from splatax.shapes import check_arrays, check_kind
+from splatax.transforms import Similarity
 
 Drawable = Gaussians | Scene
 
@@ -37,6 +39,12 @@ def checked(scene: Drawable) -> Drawable:
 
 
 def _checked(name: str, part: Part) -> Part:
+    matrix = "Give a Similarity, such as Similarity(matrix[:3, :3], matrix[:3, 3])."
+    check_kind(f"the pose of part {name!r}", part.pose, Similarity, matrix)
+    check_kind(f"the color of part {name!r}", part.color, ColorMap | None, "Give a ColorMap.")
+    check_kind(
+        f"gaussians of part {name!r}", part.gaussians, Gaussians, "Give Gaussians, such as those of a file."
+    )
     try:
         gaussians = clouds.checked(part.gaussians)
         dtype = gaussians.means.dtype

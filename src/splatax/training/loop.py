@@ -133,7 +133,7 @@ def optimize(
         raise DatasetError("The capture has no photos to train on.")
     for name, count in (("steps", recipe.steps), ("views", recipe.views)):
         if not isinstance(count, Integral) or count < 1:
-            raise ValueError(f"a recipe needs at least one of its {name}, and a whole number, not {count}")
+            raise ValueError(f"the {name} of a recipe must be a whole number of at least 1, not {count}")
     recipe = recipe.on(backends.resolve(recipe.drawing.backend))
     if start is None:
         gaussians = recipe.initialization(dataset, recipe.sh.degree, recipe.seed)

@@ -25,10 +25,8 @@ class Pair:
 
 @pytree
 @dataclass(frozen=True)
-class Couple:
-    left: object
-    right: object
-    name: str = field(default="", metadata={"static": True})
+class Couple(Pair):
+    """The same fields in another class."""
 
 
 @pytest.mark.parametrize(

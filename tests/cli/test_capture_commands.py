@@ -1,6 +1,7 @@
 """splatax reconstruct and splatax inspect, from the command line."""
 
 import re
+import shutil
 
 import numpy as np
 import pytest
@@ -64,6 +65,7 @@ def test_photos_that_make_no_capture(make, tmp_path, capsys):
     reason = make(tmp_path / "photos")
     error = refused(capsys, "reconstruct", tmp_path / "photos", "--out", tmp_path / "out")
     assert f"{tmp_path / 'photos'}: {reason}" in error
+    assert (tmp_path / "out").exists() == (make is no_overlap)  # work is kept if photos were matched
 
 
 def test_other_refusals(tmp_path, capsys):
@@ -88,6 +90,31 @@ def test_inspect_judges_photos_that_have_no_poses_yet(photos, tmp_path, capsys):
     assert re.search(r"^\d problems?, 1 of them serious$|^\d serious problems?$", printed, re.MULTILINE)
     assert f"splatax reconstruct {photos} --out SCENE" in printed
     assert (tmp_path / "page.html").is_file()
+
+
+def test_inspect_names_what_it_does_not_look_at(photos, tmp_path, capsys):
+    folder = shutil.copytree(photos, tmp_path / "photos")
+    for name in ("raw.dng", "walk.mp4"):
+        (folder / name).write_bytes(b"x")
+    with pytest.raises(SystemExit):
+        cli.main(["inspect", str(folder), "--out", str(tmp_path / "page.html")])
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "1 file cannot be used: raw.dng" in printed
+    assert "1 file cannot be used: walk.mp4" in printed
+    assert printed.count("splatax reconstruct") == 2
+    assert printed.count(f"splatax reconstruct {folder} --out SCENE") == 1
+    for photo in [*folder.glob("*.jpg"), *folder.glob("*.png")]:
+        photo.unlink()
+    assert "1 photo in formats that splatax does not know: raw.dng" in refused(capsys, "inspect", folder)
+    (folder / "raw.dng").unlink()
+    assert f"Give the video itself, such as {folder / 'walk.mp4'}" in refused(capsys, "inspect", folder)
+
+
+@pytest.mark.parametrize("command", ["inspect", "train"])
+def test_a_video_given_as_a_capture_is_told_how_to_become_one(tmp_path, capsys, command):
+    (tmp_path / "walk.mp4").write_bytes(b"x")
+    error = refused(capsys, command, tmp_path / "walk.mp4", "--out", tmp_path / "out")
+    assert "walk.mp4: a video, not a capture. Make a capture of it with splatax reconstruct" in error
 
 
 def test_inspect_of_a_zip_with_brackets_in_a_name(tmp_path, capsys):

@@ -15,6 +15,7 @@ from splatax.cli import create
 from splatax.cli.options import flag
 from splatax.cli.train import Train
 from splatax.cli.train_options import Rerun
+from splatax.errors import InputError
 from splatax.web import page
 
 
@@ -157,6 +158,9 @@ def test_what_was_made_of_other_photos_or_for_another_time_is_replaced_only_when
     error = refused(capsys, *command, "--budget", "2min")
     assert "made with --budget 1:00 min, not with --budget 2:00 min" in error
     assert f"splatax create {tmp_path / 'out' / 'capture'} --out OTHER" in error
+    error = refused(capsys, *command, "--budget", "2min", "--frames", "12")
+    assert "made with --frames 200, not with --frames 12. Find the cameras again" in error
+    assert f"splatax create {photos} --out OTHER" in error
     (tmp_path / "others").mkdir()
     error = refused(capsys, "create", tmp_path / "others", "--out", tmp_path / "out", "--budget", "60s")
     assert f"made from {photos}" in error
@@ -307,7 +311,8 @@ def test_points_of_a_capture_without_any_are_looked_for_once(found, stages, phot
 def test_nothing_is_begun_that_cannot_end_well(stages, photos, tmp_path, capsys):
     out = tmp_path / "out"
     assert "--budget: a time such as" in refused(capsys, "create", photos, "--out", out, "--budget", "soon")
-    assert "lies among the photos" in refused(capsys, "create", photos, "--out", photos / "out")
+    error = refused(capsys, "create", photos, "--out", photos / "out")
+    assert f"{photos / 'out'}: lies among the photos" in error
     assert "--within: plans" in refused(
         capsys, "create", photos, "--out", out, "--within", "9s", "--steps", 5
     )
@@ -316,3 +321,24 @@ def test_nothing_is_begun_that_cannot_end_well(stages, photos, tmp_path, capsys)
     assert "a file, not a folder" in refused(capsys, "create", photos, "--out", tmp_path / "file")
     assert not stages
     assert not out.exists()
+
+
+@pytest.mark.parametrize("place", ["", "images", "images/out"])
+def test_a_page_is_not_made_among_the_files_of_its_capture(stub, tmp_path, capsys, place):
+    capture = write_capture(tmp_path / "capture")
+    before = sorted(capture.rglob("*"))
+    error = refused(capsys, "create", capture, "--out", capture / place, "--steps", "12")
+    why = f"lies among the photos of {capture}" if place else "the folder of the capture itself"
+    assert f"{capture / place}: {why}. Choose another --out" in error
+    assert sorted(capture.rglob("*")) == before
+
+
+def test_a_page_may_lie_in_a_folder_of_its_own_inside_its_capture(stub, tmp_path):
+    capture = write_transforms(tmp_path / "capture")
+    (capture / "all").mkdir()
+    (capture / "images").rename(capture / "all" / "images")
+    listing = capture / "transforms.json"
+    listing.write_text(listing.read_text().replace("images/", "all/images/"))
+    create.Create(capture, capture / "out").refuse_what_cannot_be_made()
+    with pytest.raises(InputError, match="lies among the photos"):
+        create.Create(capture, capture / "all").refuse_what_cannot_be_made()

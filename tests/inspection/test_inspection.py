@@ -1,6 +1,7 @@
 """Inspection of captures: it finds each defect that is put into a capture, and none in a good one."""
 
 import re
+import sys
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -88,6 +89,7 @@ def test_a_photo_that_cannot_be_read_is_an_error(capture):
     first = problems(capture)[0]
     assert first.severity == "error"
     assert re.match(r"1 photo cannot be read: photo03.png \(.+\)", first.what)
+    assert ".)" not in first.what
 
 
 def test_photos_without_a_pose_are_named(capture):
@@ -134,6 +136,45 @@ def test_inverted_masks_are_suspected(capture):
     found = examine(capture, sx.load_dataset(capture))
     assert found.coverage["photo00.png"] == pytest.approx(4 / 48)
     assert any("masks leave less than 20% of their photo" in what for what in said(capture))
+
+
+def test_masks_that_cannot_be_used_are_an_error(capture):
+    (capture / "masks").mkdir()
+    for name, level in zip(NAMES, [0, 255, 255], strict=False):
+        Image.new("L", SIZE, level).save(capture / "masks" / name)
+    (first, *_) = problems(capture)
+    assert first.severity == "error"
+    assert first.what.startswith("1 mask cannot be used: photo00.png (its mask is entirely black")
+
+
+def test_one_mask_that_hides_its_photo_is_spoken_of_in_the_singular(capture):
+    (capture / "masks").mkdir()
+    mask = np.zeros((SIZE[1], SIZE[0]), np.uint8)
+    mask[:4] = 255
+    Image.fromarray(mask).save(capture / "masks" / "photo02.png")
+    assert "1 mask leaves less than 20% of its photo: photo02.png." in said(capture)
+
+
+def test_a_lens_of_one_photo_is_counted_in_the_singular(tmp_path):
+    facts = dict(facts_of(examine(path := write_capture(tmp_path / "one", count=1), sx.load_dataset(path))))
+    assert facts["lens"].endswith("(1 photo)")
+
+
+def test_files_among_photos_that_cannot_be_used_are_listed_with_the_reason(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pillow_heif", None)
+    for name in ("anim.gif", "sub/raw.dng", "walk.mp4", "IMG_1.HEIC", "notes.txt"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(b"x")
+    Image.new("RGB", (64, 48), "gray").save(tmp_path / "a.jpg")
+    found = examine(tmp_path, None)
+    assert list(found.photos) == ["a.jpg"]
+    listed = {problem.what: problem.fix for problem in problems_of(found) if "cannot be used" in problem.what}
+    formats, video, heic = sorted(listed, reverse=True)
+    assert formats.startswith("2 files cannot be used: anim.gif, sub/raw.dng (")
+    assert listed[formats] == "Save it as JPEG or PNG."
+    assert video.startswith("1 file cannot be used: walk.mp4 (is a video")
+    assert heic == "1 file cannot be used: IMG_1.HEIC (reading HEIC needs another package)."
+    assert "pip install '.[heic]'" in listed[heic]
 
 
 def test_captures_without_points_are_told_how_to_start(tmp_path):

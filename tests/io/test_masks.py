@@ -91,7 +91,7 @@ def test_a_mask_of_other_proportions_is_refused(capture):
 
 def test_masks_that_fit_no_photo_are_refused(capture):
     write_mask(capture, "photo01_mask.png")
-    with pytest.raises(DatasetError, match=r"masks: none of its 1 masks has the name of a registered photo"):
+    with pytest.raises(DatasetError, match=r"masks: no mask has the name of a registered photo"):
         sx.load_dataset(capture)
 
 

@@ -216,6 +216,13 @@ def test_photos_without_overlap_are_refused_with_advice(tmp_path):
         reconstruct(tmp_path / "photos", tmp_path / "capture")
     assert not (tmp_path / "capture" / "sparse").exists()
 
+    with pytest.raises(DatasetError, match="only 0 of 4 photos"):  # other settings may be tried
+        reconstruct(tmp_path / "photos", tmp_path / "capture", seed=1)
+    with pytest.raises(KeyboardInterrupt):
+        reconstruct(tmp_path / "photos", tmp_path / "capture", seed=1, watch=stop_at("poses"))
+    with pytest.raises(InputError, match="unfinished"):  # but they replace no work that was interrupted
+        reconstruct(tmp_path / "photos", tmp_path / "capture", seed=2)
+
 
 def chunk(kind, contents):
     body = kind + contents
@@ -256,6 +263,23 @@ def test_a_folder_of_photos_in_unknown_formats_says_so(tmp_path):
         reconstruct(tmp_path / "photos", tmp_path / "capture")
 
 
+def test_videos_among_photos_are_named_unless_they_belong_to_a_photo(tmp_path):
+    for name in ("walk.MP4", "live.mov", "live.jpg", "._walk.mp4"):
+        (tmp_path / name).write_bytes(b"x")
+    Image.new("RGB", (64, 48)).save(tmp_path / "live.jpg")
+    found, rejected = pipeline.photos_in(tmp_path)
+    assert [photo.name for photo in found] == ["live.jpg"]
+    assert list(rejected) == ["walk.MP4"]
+    assert "Give the video itself" in rejected["walk.MP4"]
+
+
+def test_a_folder_of_videos_names_one_to_give(tmp_path):
+    (tmp_path / "videos").mkdir()
+    (tmp_path / "videos" / "walk.mp4").write_bytes(b"x")
+    with pytest.raises(DatasetError, match=r"no photos in this folder, but 1 video.*videos/walk.mp4\.$"):
+        reconstruct(tmp_path / "videos", tmp_path / "capture")
+
+
 def test_two_photos_that_would_get_one_name_are_not_written_over_each_other(tmp_path):
     for name, kind in (("a.tif", "TIFF"), ("a.tif.png", "PNG")):
         Image.new("RGB", (64, 48)).save(tmp_path / name, kind)
@@ -271,6 +295,17 @@ def test_one_or_two_photos_are_too_few(photos, tmp_path, count):
         shutil.copy(photos / f"wall {i}.jpg", tmp_path / "photos")
     with pytest.raises(DatasetError, match=f"{count} photos? to use, but depth needs at least 3"):
         reconstruct(tmp_path / "photos", tmp_path / "capture")
+    assert not (tmp_path / "capture").exists()
+
+
+def test_photos_that_are_refused_leave_a_folder_as_it_was(photos, tmp_path):
+    (tmp_path / "photos").mkdir()
+    shutil.copy(photos / "wall 0.jpg", tmp_path / "photos")
+    (tmp_path / "capture").mkdir()
+    (tmp_path / "capture" / "notes.txt").write_text("mine")
+    with pytest.raises(DatasetError, match="1 photo to use"):
+        reconstruct(tmp_path / "photos", tmp_path / "capture")
+    assert [path.name for path in (tmp_path / "capture").iterdir()] == ["notes.txt"]
 
 
 @pytest.mark.slow

@@ -4,13 +4,14 @@ import time
 import webbrowser
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 
 from splatax import web
 from splatax.cli.interruption import resumable
-from splatax.cli.options import OverwriteFlag, TextOption, flag, given, load_scene, parsed, shown_as
+from splatax.cli.options import OverwriteFlag, TextOption, given, load_scene, parsed, shown_as
+from splatax.cli.orders import Order, refuse_other_options, refuse_place_of_capture
 from splatax.cli.output import say
 from splatax.cli.page import Page
 from splatax.cli.preparing import POINTS, found_points
@@ -22,7 +23,7 @@ from splatax.dataset import photos_in
 from splatax.errors import InputError
 from splatax.io.datasets import is_capture
 from splatax.io.datasets.photos import counted
-from splatax.reconstruction.work import refuse_overlap
+from splatax.reconstruction.work import refuse_among, refuse_overlap
 from splatax.runs.budget import duration, parse_seconds
 from splatax.runs.checkpoints import files
 from splatax.runs.claim import claimed
@@ -34,19 +35,6 @@ BUDGET = "10min"  # by default
 TRIAL = 1 / 6  # fraction of the training time that a trial run takes, by whose score the scene is judged
 PAGE_SECONDS = 10.0  # to write the page, of the time of a whole command
 NOT_ORDERED = {"images", "out", "title", "overwrite", "open", "view", "host", "port"}  # change no result
-
-
-@dataclass(frozen=True)
-class Order:
-    """The input of an output folder of `create`.
-
-    Attributes:
-        photos: absolute path of the photos, video or capture.
-        options: the given options that decide the result, as JSON values by name; times in seconds.
-    """
-
-    photos: str
-    options: dict
 
 
 @dataclass(frozen=True)
@@ -214,7 +202,10 @@ class Create:
         if not self.images.exists():
             raise InputError(f"{self.images}: no such folder or file.")
         if not is_capture(self.images):
+            refuse_among(self.images, self.out)
             refuse_overlap(self.images, self.out / "capture")
+        elif self.out.resolve().is_relative_to(self.images.resolve()):
+            refuse_place_of_capture(self.out, self.images, load_scene(self.images, self.limits.downscale))
         if self.devices.hosts is not None:
             raise InputError(
                 "--hosts: the stages of splatax create run in one process. Make the capture with splatax "
@@ -233,17 +224,12 @@ class Create:
         way_out = "Replace what is there: --overwrite, or choose another --out."
         with understood(self.out / ORDER, way_out):
             earlier, now = Order(**typed_fields(Order, read_record(self.out / ORDER, way_out))), self.order()
-        replacing = "or replace it: --overwrite"
         if earlier.photos != now.photos:
-            raise InputError(f"{self.out}: made from {earlier.photos}. Choose another --out, {replacing}.")
-        names = [name for name in {**earlier.options, **now.options} if not same(name, earlier, now)]
-        if names:
-            then, asked = (named(names[0], order.options.get(names[0])) for order in (earlier, now))
-            capture = self.images if is_capture(self.images) else self.out / "capture"
             raise InputError(
-                f"{self.out}: made {then}, not {asked}. Train with the same cameras in another folder: "
-                f"splatax create {capture} --out OTHER, {replacing}."
+                f"{self.out}: made from {earlier.photos}. Choose another --out, or replace it: --overwrite."
             )
+        capture = self.images if is_capture(self.images) else self.out / "capture"
+        refuse_other_options(self.out, earlier, now, self.images, capture)
 
     def named(self) -> str:
         """Returns the title of the page and the report."""
@@ -265,7 +251,7 @@ class Create:
             options.setdefault("budget", BUDGET)
         return Settings(**options)
 
-    def order(self) -> "Order":
+    def order(self) -> Order:
         """Returns the input that the options describe."""
         options = {name: value for name, value in given(self).items() if name not in NOT_ORDERED}
         if self.plannable and not options.keys() & {"steps", "within"}:
@@ -287,13 +273,3 @@ class Create:
                 overwrite=self.overwrite,
             ).run()
         return capture
-
-
-def same(name: str, one: Order, other: Order) -> bool:
-    """Returns whether an option is the same in two orders."""
-    return bool(one.options.get(name) == other.options.get(name))
-
-
-def named(name: str, value: Any) -> str:
-    """Returns an option as part of a sentence: "with --budget 1:00 min", "without --recipe"."""
-    return f"without {flag(name)}" if value is None else f"with {flag(name)} {value}"

@@ -13,9 +13,10 @@ from splatax.cli.options import Downscale, PathOption, load_scene
 from splatax.cli.output import cell, say, show
 from splatax.errors import InputError
 from splatax.inspection import examine, problems_of, seconds_to_train
-from splatax.io import images
 from splatax.io.datasets import folder_of, reader_of
 from splatax.io.files import write_whole
+from splatax.reconstruction.photos import files_of
+from splatax.reconstruction.work import refuse_without_photos
 from splatax.report.capture import capture_page, facts_of, verdict
 
 COLORS = {"error": "red", "warning": "yellow"}
@@ -41,8 +42,12 @@ class Inspect:
     def run(self) -> None:
         folder = folder_of(self.scene)
         known = reader_of(folder) is not None
-        if not known and not any(images.is_image(path) for path in folder.rglob("*")):
-            load_scene(self.scene, self.downscale)  # says what it looked for
+        if not known:
+            photos, others = files_of(folder)
+            if others and not photos:
+                refuse_without_photos(folder, list(others))
+            if not photos:
+                load_scene(self.scene, self.downscale)  # says what it looked for
         dataset = load_scene(self.scene, self.downscale) if known else None
         found = examine(self.scene if known else folder, dataset)
         if dataset is not None:

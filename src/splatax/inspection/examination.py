@@ -8,10 +8,9 @@ import numpy as np
 
 from splatax.cameras.lenses import Equirectangular
 from splatax.dataset import Dataset, View, by_photo, mask_of
-from splatax.errors import DatasetError
+from splatax.errors import DatasetError, InputError, shown
 from splatax.inspection.looks import Look, joined, looks_of
-from splatax.io import images
-from splatax.reconstruction.photos import Photo, photo_of
+from splatax.reconstruction.photos import HEIF_PACKAGE, Photo, files_of, is_heif, learn_heif, photo_of
 from splatax.runs import forecast
 from splatax.runs.planning import room_within
 from splatax.training.recipes import room_for
@@ -32,6 +31,8 @@ class Examination:
         panoramas: names of the 360-degree photos.
         wide: names of photos that may be some, though their metadata do not say so; of photos without poses.
         coverage: fraction of unmasked pixels, by name, for a sample of the views with masks.
+        unused: reasons why other files in the folder cannot be used, by name; of photos without poses.
+        bad_masks: reasons why masks cannot be used, by name; of the same sample.
         gaussians: number of Gaussians that the default recipe would use.
         memory: memory that training would then need, bytes.
         available: free memory of this machine, bytes; None if unknown.
@@ -46,6 +47,8 @@ class Examination:
     panoramas: tuple[str, ...] = ()
     wide: tuple[str, ...] = ()
     coverage: dict[str, float] = field(default_factory=dict)
+    unused: dict[str, str] = field(default_factory=dict)
+    bad_masks: dict[str, str] = field(default_factory=dict)
     gaussians: int = 0
     memory: int = 0
     available: int | None = None
@@ -65,7 +68,7 @@ def examine(path: Path, dataset: Dataset | None) -> Examination:
         dataset: the capture; None for photos without poses.
     """
     if dataset is None:
-        photos = {p.relative_to(path).as_posix(): p for p in sorted(path.rglob("*")) if images.is_image(p)}
+        photos, unused = photos_and_others(path)
         headers = [photo for name, file in photos.items() if (photo := header_of(name, file))]
         return Examination(
             path,
@@ -74,13 +77,17 @@ def examine(path: Path, dataset: Dataset | None) -> Examination:
             looks_of(photos, LOOKING),
             panoramas=tuple(photo.name for photo in headers if photo.panorama),
             wide=tuple(photo.name for photo in headers if photo.wide),
+            unused=unused,
         )
     survey, around = dataset.survey, [view for view in dataset.views if whole_sphere(view)]
     masked = [view for view in dataset.views if view.mask]
-    coverage = {}
+    coverage, bad_masks = {}, {}
     for view in masked[:: -(-len(masked) // MASKS) or 1]:
-        mask = mask_of(view)
-        coverage[view.name] = 1.0 if mask is None else float(mask.mean())
+        try:
+            mask = mask_of(view)
+            coverage[view.name] = 1.0 if mask is None else float(mask.mean())
+        except DatasetError as error:
+            bad_masks[view.name] = str(error)
     gaussians = room_for(dataset)
     width, height, photos_bytes = forecast.photos(dataset)
     in_memory = min(photos_bytes, room_within(None, dataset, 0).photos)
@@ -98,9 +105,25 @@ def examine(path: Path, dataset: Dataset | None) -> Examination:
         },
         tuple(dict.fromkeys(view.photo for view in around)),
         coverage=coverage,
+        bad_masks=bad_masks,
         gaussians=gaussians,
         memory=forecast.memory(gaussians, width, height, round(in_memory)),
         available=available_memory(),
+    )
+
+
+def photos_and_others(folder: Path) -> tuple[dict[str, Path], dict[str, str]]:
+    """Returns the photos in a folder and the reasons why other files cannot be used, both by name."""
+    photos, unused = files_of(folder)
+    if heif := [path for path in photos if is_heif(path)]:
+        try:
+            learn_heif(heif[0])
+        except InputError:
+            unused |= dict.fromkeys(heif, HEIF_PACKAGE)
+            photos = [path for path in photos if path not in unused]
+    return (
+        {path.relative_to(folder).as_posix(): path for path in photos},
+        {shown(path.relative_to(folder).as_posix()): why for path, why in unused.items()},
     )
 
 

@@ -40,14 +40,14 @@ class Problem:
 
 def problems_of(found: Examination) -> list[Problem]:
     """Returns all problems, errors first."""
-    checks = (poses, number, shape, registration, placement, errors, photos, masks, points, memory)
+    checks = (poses, number, shape, registration, placement, errors, photos, others, masks, points, memory)
     problems = [problem for check in checks for problem in check(found)]
     return sorted(problems, key=lambda problem: problem.severity != "error")
 
 
 def poses(found: Examination) -> Iterator[Problem]:
     if found.dataset is None:
-        fix = f"Find them: splatax reconstruct {found.path}."
+        fix = "Find them with splatax reconstruct."
         yield Problem("error", "The photos have no poses, so nothing can be trained on them yet.", fix)
 
 
@@ -122,11 +122,20 @@ def photos(found: Examination) -> Iterator[Problem]:
     seen = {name: look for name, look in found.looks.items() if not look.unreadable}
     if broken := sorted(found.looks.keys() - seen.keys()):
         why = found.looks[broken[0]].unreadable
-        what = f"{counted(len(broken))} cannot be read: {listed(broken)} ({why})."
+        what = f"{counted(len(broken))} cannot be read: {listed(broken)} ({why.removesuffix('.')})."
         yield Problem("error", what, "Copy them from the camera again.")
     if seen:
         yield from exposure(seen)
         yield from blur(seen)
+
+
+def others(found: Examination) -> Iterator[Problem]:
+    """Yields the files among photos without poses that cannot be used, by their reasons."""
+    for reason in dict.fromkeys(found.unused.values()):
+        names = [name for name, why in found.unused.items() if why == reason]
+        why, _, fix = reason.partition(". ")
+        what = f"{counted(len(names), 'file')} cannot be used: {listed(names)} ({why})."
+        yield Problem("warning", what, f"{fix}.")
 
 
 def exposure(looks: dict[str, Look]) -> Iterator[Problem]:
@@ -170,10 +179,17 @@ def outliers(names: list[str], values: Float[np.ndarray, " n"], floor: float, si
 
 
 def masks(found: Examination) -> Iterator[Problem]:
+    if bad := found.bad_masks:
+        name, reason = next(iter(bad.items()))
+        why = reason.removeprefix(f"{name}: ").removesuffix(".")
+        what = f"{counted(len(bad), 'mask')} cannot be used: {listed(bad)} ({why})."
+        yield Problem("error", what, "Training stops at them: make them again, or delete them.")
     if hidden := sorted(name for name, shown in found.coverage.items() if shown < MOSTLY_HIDDEN):
+        leave, their = ("leaves", "its") if len(hidden) == 1 else ("leave", "their")
+        least = f"{MOSTLY_HIDDEN:.0%} of {their} photo"
         yield Problem(
             "warning",
-            f"{len(hidden)} masks leave less than {MOSTLY_HIDDEN:.0%} of their photo: {listed(hidden)}.",
+            f"{counted(len(hidden), 'mask')} {leave} less than {least}: {listed(hidden)}.",
             "White counts and black does not: invert the masks if they are the other way round.",
         )
 

@@ -16,9 +16,15 @@ Picture = UInt8[np.ndarray, "_ _ 3"]
 Add = Callable[[Picture], None]  # adds the next frame
 
 SUFFIXES = {".mp4", ".webm", ".gif"}
+READ = {".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".3gp"}  # by `splatax reconstruct`
 X264 = {"crf": "17", "preset": "medium"}  # visually near lossless
 VP9 = {"crf": "24", "b": "0", "deadline": "good", "cpu-used": "4", "row-mt": "1"}
 BT709 = 1  # matrix, primaries and transfer of HD television in H.273, which players assume
+
+
+def is_video(path: Path) -> bool:
+    """Returns whether a path has the suffix of a video whose frames can be used as photos."""
+    return path.suffix.lower() in READ
 
 
 def writing(path: Path, size: tuple[int, int], fps: int) -> AbstractContextManager[Add]:

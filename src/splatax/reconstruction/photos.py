@@ -1,7 +1,6 @@
 """Finds the photos to reconstruct from, reads them upright, and reads their lens and device from EXIF."""
 
 import shutil
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from splatax.dataset import Pixels
 from splatax.errors import DatasetError, InputError, shown
 from splatax.io import images
 from splatax.io.datasets import names
+from splatax.io.video import is_video
 from splatax.reconstruction.panoramas import Panoramas, looks_like_one, says_so
 
 COMMON = {".jpg", ".jpeg", ".png"}  # suffixes of formats that all tools read
@@ -19,6 +19,11 @@ OTHER = {".gif", ".avif", ".jxl", ".jp2", ".psd"}  # photos in formats that are 
 RAW = {".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw"}  # nor these
 LOSSLESS = {".png", ".bmp", ".tif", ".tiff"}
 UNREADABLE = "cannot be read: not a format that splatax knows. Save it as JPEG or PNG"
+VIDEO = "is a video, and those among photos are not read. Give the video itself, or save its frames as photos"
+HEIF_PACKAGE = (
+    "reading HEIC needs another package. Install it: pip install '.[heic]' in the checkout of splatax, or "
+    "export JPEG"
+)
 DIAGONAL_35MM = float(np.hypot(36, 24))  # mm; the 35 mm equivalent refers to the diagonal (CIPA DCG-001)
 MM_PER_UNIT = {2: 25.4, 3: 10.0}  # EXIF's FocalPlaneResolutionUnit: inch, centimetre
 MAKE, MODEL, EXIF = 0x010F, 0x0110, 0x8769
@@ -63,12 +68,11 @@ def photos_in(folder: Path, panoramas: Panoramas = "auto") -> tuple[list[Photo],
     Raises:
         InputError: if there is a HEIC photo, and the package that reads it is not installed.
     """
-    files = [path for path in folder.rglob("*") if path.is_file()]
-    paths = sorted(path for path in files if is_photo(path))
-    if any(path.suffix.lower() in HEIF for path in paths):
-        learn_heif(next(path for path in paths if path.suffix.lower() in HEIF))
+    paths, unused = files_of(folder)
+    if heif := [path for path in paths if is_heif(path)]:
+        learn_heif(heif[0])
     photos: list[Photo] = []
-    damaged = {shown(path.relative_to(folder).as_posix()): UNREADABLE for path in unread(files, paths)}
+    damaged = {shown(path.relative_to(folder).as_posix()): reason for path, reason in unused.items()}
     present = {path.relative_to(folder).as_posix() for path in paths}
     for path in paths:
         name = path.relative_to(folder).as_posix()
@@ -84,21 +88,28 @@ def photos_in(folder: Path, panoramas: Panoramas = "auto") -> tuple[list[Photo],
     return photos, damaged
 
 
-def unread(files: Sequence[Path], photos: Sequence[Path]) -> list[Path]:
-    """Returns the files that are photos in other formats, unless the same photo is there in a known one.
+def files_of(folder: Path) -> tuple[list[Path], dict[Path, str]]:
+    """Returns the photos in a folder, and the reasons why its videos and other photos are not used.
 
-    Args:
-        files: all files of a folder.
-        photos: those in a known format.
+    A file beside a photo of the same name is not listed: the raw file of a camera, or the video of a live
+    photo.
     """
+    files = sorted(path for path in folder.rglob("*") if path.is_file() and not path.name.startswith("."))
+    photos = [path for path in files if is_photo(path)]
     known = {path.with_suffix("") for path in photos}
-    other = (path for path in files if path.suffix.lower() in OTHER | RAW and not path.name.startswith("."))
-    return sorted(path for path in other if path.with_suffix("") not in known)
+    unused = {path: UNREADABLE for path in files if path.suffix.lower() in OTHER | RAW}
+    unused |= {path: VIDEO for path in files if is_video(path)}
+    return photos, {path: why for path, why in unused.items() if path.with_suffix("") not in known}
 
 
 def is_photo(path: Path) -> bool:
     """Returns whether a path has the suffix of a photo, HEIC included."""
-    return images.is_image(path) or (path.suffix.lower() in HEIF and not path.name.startswith("."))
+    return images.is_image(path) or is_heif(path)
+
+
+def is_heif(path: Path) -> bool:
+    """Returns whether a path has the suffix of a HEIC photo and is not hidden."""
+    return path.suffix.lower() in HEIF and not path.name.startswith(".")
 
 
 def learn_heif(example: Path) -> None:
@@ -110,10 +121,7 @@ def learn_heif(example: Path) -> None:
     try:
         import pillow_heif
     except ImportError:
-        raise InputError(
-            f"{example}: reading HEIC needs another package: pip install '.[heic]' in the checkout of "
-            "splatax. Or export JPEG."
-        ) from None
+        raise InputError(f"{example}: {HEIF_PACKAGE}.") from None
     pillow_heif.register_heif_opener()
 
 

@@ -7,19 +7,22 @@ from functools import partial
 from pathlib import Path
 
 from splatax.errors import DatasetError
+from splatax.io.video import is_video
 from splatax.packages import required_by
 from splatax.reconstruction import diagnosis, mapping, refusals
 from splatax.reconstruction.mapping import Entry, Features
 from splatax.reconstruction.pairs import Exhaustive, Pairing, Sequential, Similar
 from splatax.reconstruction.panoramas import FACES, SEARCHED, Panoramas, faces_of, size_of_faces
 from splatax.reconstruction.photos import Photo, photos_in, read, save
-from splatax.reconstruction.video import is_video, pick_frames
+from splatax.reconstruction.video import pick_frames
 from splatax.reconstruction.work import (
+    DATABASE,
     RESULTS,
     WORK,
     fingerprint,
-    prepare,
+    prepared,
     refuse_overlap,
+    replaceable_if_refused,
     take_back_results,
 )
 from splatax.reconstruction.writing import Ways, write_capture
@@ -103,13 +106,13 @@ def reconstruct(
     asked = asdict(features) if features else "auto"
     settings = {"source": str(source.resolve()), "frames": frames, "features": asked, "seed": seed}
     settings |= {"panoramas": panoramas, "faces": faces, "undistort": undistort}
-    prepare(work, settings | {"photos": fingerprint(source)})
-    found, rejected = gather(source, work, frames, panoramas, partial(watch, "reading"))
-    refusals.undistorted_panoramas(source, found, ways)
-    features = features or features_for(len(found))
-    photos, damaged = shrink(found, work / "photos", features.longest_side, partial(watch, "reading"))
-    rejected |= damaged
-    refusals.too_few(source, photos, rejected)
+    with prepared(out, settings | {"photos": fingerprint(source)}):
+        found, rejected = gather(source, work, frames, panoramas, partial(watch, "reading"))
+        refusals.undistorted_panoramas(source, found, ways)
+        features = features or features_for(len(found))
+        photos, damaged = shrink(found, work / "photos", features.longest_side, partial(watch, "reading"))
+        rejected |= damaged
+        refusals.too_few(source, photos, rejected)
     database = register(work, photos, features)
     mapping.extract(database, work / "photos", features, partial(watch, "features"))
     if mapping.match(database, pairing or pairing_for(source, len(photos)), seed, partial(watch, "matches")):
@@ -117,7 +120,8 @@ def reconstruct(
     parts = mapping.place(database, work / "photos", work / "models", seed, partial(watch, "poses"))
     reasons = diagnosis.reasons(database, parts)
     rejected |= diagnosis.by_photo({name: photo.name for name, photo in photos.items()}, reasons)
-    refusals.too_few_placed(source, parts, photos, rejected)
+    with replaceable_if_refused(work):
+        refusals.too_few_placed(source, parts, photos, rejected)
     registered = {photos[parts[0].image(i).name] for i in parts[0].reg_image_ids()}
     capture = write_capture(parts[0], photos, work / "capture", partial(watch, "writing"), ways)
     for name in reversed(RESULTS):
@@ -190,7 +194,7 @@ def shrunk_size(photo: Photo, longest_side: int) -> tuple[int, int]:
 
 def register(work: Path, photos: dict[str, Photo], features: Features) -> Path:
     """Returns COLMAP's database of the photos, and makes it unless an interrupted call has."""
-    database = work / "database.db"
+    database = work / DATABASE
     if not database.exists():
         (work / "new.db").unlink(missing_ok=True)
         with mapping.opened(work / "new.db") as empty:

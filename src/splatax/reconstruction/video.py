@@ -1,6 +1,7 @@
 """Extracts the sharpest frames of a video, using PyAV, an optional package."""
 
-from collections.abc import Callable, Iterator
+import warnings
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +11,9 @@ from jaxtyping import Num
 from splatax.errors import DatasetError, InputError
 from splatax.reconstruction.photos import save
 
-SUFFIXES = {".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".3gp"}
 WIDTH = 480  # pixels of the size at which sharpness is measured
 QUARTER_TURNS = {0: 0, 90: 1, 180: 2, 270: 3}
-
-
-def is_video(path: Path) -> bool:
-    return path.suffix.lower() in SUFFIXES
+COMPLETE = 0.9  # of the frames and of the time that the header gives; a video with less of both is incomplete
 
 
 def sharpness(gray: Num[np.ndarray, "h w"]) -> float:
@@ -28,6 +25,8 @@ def sharpness(gray: Num[np.ndarray, "h w"]) -> float:
 
 def pick_frames(path: Path, folder: Path, count: int, watch: Callable[[int, int], None]) -> None:
     """Writes the sharpest frame of each of `count` equally long stretches of a video to a folder, as JPEG.
+
+    Warns if the video ends long before its header says.
 
     Args:
         path: path of the video.
@@ -53,19 +52,51 @@ def pick_frames(path: Path, folder: Path, count: int, watch: Callable[[int, int]
                 raise DatasetError(f"{path}: there is no picture in this video.")
             stream = container.streams.video[0]
             stream.thread_type = "AUTO"
-            total = stream.frames or int(
-                float(container.duration or 0) / 1e6 * float(stream.average_rate or 30)
-            )
-            for index, frame in best_of_stretches(container.decode(stream), total, count, watch):
+            seconds = float(container.duration or 0) / 1e6
+            if stream.duration:
+                seconds = float(stream.duration * stream.time_base)
+            total = stream.frames or int(seconds * float(stream.average_rate or 30))
+            times: list[float] = []
+            frames = noting_times(container.decode(stream), times)
+            for index, frame in best_of_stretches(frames, total, count, watch):
                 turned = np.rot90(
                     frame.to_ndarray(format="rgb24"), QUARTER_TURNS[round(frame.rotation) % 360]
                 )
                 save(folder / f"frame_{index:06}.jpg", np.ascontiguousarray(turned))
+            warn_if_cut_short(path, times, total, seconds)
     except (av.error.FFmpegError, KeyError) as error:
         raise DatasetError(
             f"{path}: the video cannot be read ({error}). Copy it from the camera again if it does not play; "
             "if it does, convert it: ffmpeg -i VIDEO -c:v libx264 converted.mp4."
         ) from error
+
+
+def noting_times(frames: Iterable[Any], times: list[float]) -> Iterator[Any]:
+    """Yields frames, and appends the time of each, in seconds, to a list."""
+    for frame in frames:
+        times.append(frame.time or 0.0)
+        yield frame
+
+
+def warn_if_cut_short(path: Path, times: list[float], total: int, seconds: float) -> None:
+    """Warns if a video has fewer frames and less time than its header says, as after an interrupted copy.
+
+    Both must be short. A header's number of frames is an estimate in some formats, too high where the frame
+    rate varies, and an edit list hides frames. Its time includes that of the sound, which may be longer.
+
+    Args:
+        path: path of the video.
+        times: times of all frames, seconds.
+        total: number of frames according to the header, approximately.
+        seconds: duration according to the header.
+    """
+    if not times or len(times) >= COMPLETE * total or times[-1] - times[0] >= COMPLETE * seconds:
+        return
+    warnings.warn(
+        f"{path}: it ends after {len(times)} of about {total} frames, so it is incomplete. Copy it from the "
+        "camera again. Only the frames that are there are used.",
+        stacklevel=1,
+    )
 
 
 def best_of_stretches(

@@ -30,7 +30,7 @@ def facts_of(found: Examination) -> list[tuple[str, str]]:
         facts.append(("held out", f"{held_out} for testing"))
         facts.append(("size", f"{sizes_of(list(found.views))} as trained"))
         lenses = Counter(found.dataset.survey.lenses.values()).most_common()
-        facts += [("lens", f"{lens}  ({count} photos)") for lens, count in lenses[:LENSES]]
+        facts += [("lens", f"{lens}  ({counted(count)})") for lens, count in lenses[:LENSES]]
         if len(lenses) > LENSES:
             facts.append(("lens", f"and {len(lenses) - LENSES} more"))
         facts.append(("points", f"{len(found.dataset.points):,}"))

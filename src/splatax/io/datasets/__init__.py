@@ -31,6 +31,7 @@ from splatax.io.datasets import (
 from splatax.io.datasets.assembly import dataset_of
 from splatax.io.datasets.colmap_writing import PLACE
 from splatax.io.datasets.photos import counted, listed
+from splatax.io.video import is_video
 from splatax.splits import Every, HoldOut, Listed, listed_in, matched
 
 DATASETS: dict[str, ModuleType] = {  # the first that recognises a folder reads it
@@ -161,6 +162,11 @@ def folder_of(path: Path) -> Path:
         return path
     if path.suffix.lower() == ".zip":
         return archives.unpacked(path)
+    if is_video(path):
+        raise DatasetError(
+            f"{path}: a video, not a capture. Make a capture of it with splatax reconstruct, or a page with "
+            "splatax create."
+        )
     raise DatasetError(f"{path}: a file, not a folder or a zip file. Give the folder that holds the capture.")
 
 

@@ -24,10 +24,9 @@ def masks_of(capture: Path, names: Iterable[str]) -> dict[str, Path]:
         candidates = (folder / f"{name}.png", (folder / name).with_suffix(".png"))
         if found := [path for path in candidates if path.is_file()]:
             masks[name] = found[0]
-    present = sum(images.is_image(path) for path in folder.rglob("*"))
-    if present and not masks:
+    if not masks and any(images.is_image(path) for path in folder.rglob("*")):
         raise DatasetError(
-            f"{folder}: none of its {present} masks has the name of a registered photo: NAME.png or "
+            f"{folder}: no mask has the name of a registered photo: NAME.png or "
             "NAME.jpg.png for NAME.jpg. Rename them, or move the folder away to train without masks."
         )
     return masks

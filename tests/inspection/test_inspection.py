@@ -170,9 +170,9 @@ def test_files_among_photos_that_cannot_be_used_are_listed_with_the_reason(tmp_p
     assert list(found.photos) == ["a.jpg"]
     listed = {problem.what: problem.fix for problem in problems_of(found) if "cannot be used" in problem.what}
     formats, video, heic = sorted(listed, reverse=True)
-    assert formats.startswith("2 files cannot be used: anim.gif, sub/raw.dng (")
+    assert formats.startswith("2 files cannot be used: anim.gif, sub/raw.dng (not a format")
     assert listed[formats] == "Save it as JPEG or PNG."
-    assert video.startswith("1 file cannot be used: walk.mp4 (is a video")
+    assert video.startswith("1 file cannot be used: walk.mp4 (a video")
     assert heic == "1 file cannot be used: IMG_1.HEIC (reading HEIC needs another package)."
     assert "pip install '.[heic]'" in listed[heic]
 

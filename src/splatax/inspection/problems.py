@@ -133,7 +133,7 @@ def others(found: Examination) -> Iterator[Problem]:
     """Yields the files among photos without poses that cannot be used, by their reasons."""
     for reason in dict.fromkeys(found.unused.values()):
         names = [name for name, why in found.unused.items() if why == reason]
-        why, _, fix = reason.partition(". ")
+        why, _, fix = reason.removeprefix("cannot be read: ").partition(". ")
         what = f"{counted(len(names), 'file')} cannot be used: {listed(names)} ({why})."
         yield Problem("warning", what, f"{fix}.")
 

@@ -19,7 +19,7 @@ OTHER = {".gif", ".avif", ".jxl", ".jp2", ".psd"}  # photos in formats that are 
 RAW = {".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw"}  # nor these
 LOSSLESS = {".png", ".bmp", ".tif", ".tiff"}
 UNREADABLE = "cannot be read: not a format that splatax knows. Save it as JPEG or PNG"
-VIDEO = "is a video, and those among photos are not read. Give the video itself, or save its frames as photos"
+VIDEO = "a video, and those among photos are not read. Give the video itself, or save its frames as photos"
 HEIF_PACKAGE = (
     "reading HEIC needs another package. Install it: pip install '.[heic]' in the checkout of splatax, or "
     "export JPEG"

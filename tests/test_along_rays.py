@@ -238,7 +238,7 @@ def test_discs_seen_edge_on_are_drawn_as_blurs_and_have_finite_gradients():
     ("kind", "flat"),
     [
         ("fisheye", True),
-        ("rolling shutter", True),
+        pytest.param("rolling shutter", True, marks=pytest.mark.slow),
         pytest.param("opencv", True, marks=pytest.mark.slow),
         pytest.param("fisheye", False, marks=pytest.mark.slow),
         pytest.param("rolling shutter", False, marks=pytest.mark.slow),

@@ -83,6 +83,7 @@ def test_a_library_for_a_newer_xla_makes_its_backend_unavailable_and_leaves_jax_
     assert total == "3"
 
 
+@pytest.mark.slow
 def test_a_library_for_a_newer_xla_that_is_called_before_anything_else_leaves_jax_alone():
     printed = run(
         NEWER + "try:\n"

@@ -95,7 +95,8 @@ def test_a_program_that_is_not_installed_is_named():
     assert re.fullmatch("not installed: .*gsplat", found)
 
 
-@pytest.mark.parametrize("shape", ["(n,)", pytest.param("(n, 1)", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("shape", ["(n,)", "(n, 1)"])
 def test_both_interfaces_of_splax_are_timed(installed, monkeypatch, shape):
     monkeypatch.setattr(others, "MOST_SECONDS", 600)  # on a busy machine
     installed("splax", SPLAX.replace("{shape}", shape))

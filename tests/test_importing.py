@@ -59,6 +59,7 @@ def test_a_public_name_is_what_its_module_defines(name):
     assert getattr(sx, name) is getattr(importlib.import_module(f"splatax.{sx.HOMES[name]}"), name)
 
 
+@pytest.mark.slow
 def test_submodules_are_reached_without_importing_them():
     printed = run("-c", "import splatax as sx\nfor name in sx.SUBMODULES: print(getattr(sx, name).__name__)")
     assert printed.split() == [f"splatax.{home}" for home in sx.SUBMODULES.values()]
@@ -74,6 +75,7 @@ def test_a_name_that_does_not_exist_is_an_attribute_error():
     assert not hasattr(sx, "rendr")
 
 
+@pytest.mark.slow
 def test_importing_takes_under_600_ms_beyond_jax_and_so_does_the_renderer():
     code = (
         "import time, jax\nstart = time.process_time()\nimport splatax as sx\n"
@@ -96,6 +98,7 @@ def test_a_module_of_splatax_that_is_missing_is_no_missing_package():
         raise ModuleNotFoundError("No module named 'splatax.nothing'", name="splatax.nothing")
 
 
+@pytest.mark.slow
 def test_the_renderer_needs_jax_optax_jaxtyping_and_numpy_alone():
     """Other packages are blocked here; tests/test_packaging.py has an environment without them."""
     run(

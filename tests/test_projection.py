@@ -138,7 +138,8 @@ def test_colour_below_zero_is_clamped_and_has_no_gradient():
     assert_array_equal(gradient.sh, 0)
 
 
-@pytest.mark.parametrize("low_pass", [Dilation(), pytest.param(Antialiasing(), marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("low_pass", [Dilation(), Antialiasing()])
 def test_gradients_of_scene_camera_and_background_match_finite_differences(low_pass, x64):
     """Through the whole renderer, in double precision, one random direction per argument."""
     gaussians = random_gaussians(n=12, spread=0.6, dtype=np.float64)

@@ -125,8 +125,8 @@ def mask_of(view: View) -> Mask | None:
         raise DatasetError(f"{view.name}: its mask has {width} x {height} pixels, its camera {expected}.")
     if not mask.any():
         raise DatasetError(
-            f"{view.name}: its mask is entirely black, so no pixel of the photo counts. Repair or delete the "
-            "mask, or remove the photo from the capture."
+            f"{view.name}: its mask is entirely black, so no pixel of the photo counts. Repair the mask; or "
+            "delete it, and start a new run."
         )
     return mask
 

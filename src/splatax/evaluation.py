@@ -114,11 +114,12 @@ def evaluate(
 
 
 def require_scorable(views: Iterable[View]) -> None:
-    """Checks the sizes of photos to score, so that hours of training do not end in an error.
+    """Checks the sizes and masks of photos to score, so that hours of training do not end in an error.
 
     Raises:
-        DatasetError: if a photo is too small to be compared.
+        DatasetError: if a photo is too small to be compared, or no pixel of it counts.
     """
+    views = tuple(views)
     for view in views:
         width, height = view.camera.width, view.camera.height
         if min(width, height) < metrics.WINDOW:
@@ -127,6 +128,8 @@ def require_scorable(views: Iterable[View]) -> None:
                 f"{metrics.WINDOW} x {metrics.WINDOW}. Load larger photos, or hold out others.",
                 options=("downscale", "hold_out"),
             )
+    for _ in in_order(mask_of, views, cores()):
+        pass
 
 
 def scores_of(views: Iterable[View], scores: Iterable[ViewScore]) -> Scores:

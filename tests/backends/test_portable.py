@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 
 from scenes import random_splats
@@ -20,6 +21,7 @@ def image_and_gradient(scene):
     return image, gradient
 
 
+@pytest.mark.slow
 def test_more_slots_than_a_round_holds(monkeypatch):
     """The backend that works in rounds must not notice where they end."""
     scene = random_splats(7, n=600, size=(64, 48), sigma=(1, 12))

@@ -8,6 +8,7 @@ from splatax import backends, cli
 from splatax.backends import portable
 
 
+@pytest.mark.slow
 def test_every_rasterizer_is_listed_with_its_state(capsys):
     cli.main(["doctor"])
     printed = capsys.readouterr().out

@@ -120,7 +120,7 @@ def test_what_cannot_be_done_is_refused_and_nothing_written(model, tmp_path, cap
         ((model, tmp_path / "a.ply", "--simplify", 5, "--tune", -1), "--tune"),
         ((model, tmp_path / "a.ply", "--scale", 0), "--scale"),
         ((model, tmp_path / "a.ply", "--rotate", "nan", 0, 0), "--rotate"),
-        ((model, tmp_path / "a.ply", "--crop-sphere", 9, 9, 9, 1), "this would remove every Gaussian"),
+        ((model, tmp_path / "a.ply", "--crop-sphere", 9, 9, 9, 1), "no Gaussian would be left"),
         ((tmp_path / "missing.ply", tmp_path / "a.ply"), "no such file"),
     ):
         assert named in refused(capsys, *arguments)

@@ -158,7 +158,7 @@ def test_the_decisions_of_process_0_are_received_with_the_files_that_they_name(t
     assert not sent
     assert (received.scene, received.seed) == (elsewhere, 3)
     assert fingerprint(dataset) == fingerprint(decided)
-    assert fingerprint(dataset)["cameras"] != fingerprint(given)["cameras"]
+    assert fingerprint(dataset)["camera of"] != fingerprint(given)["camera of"]
     assert len(dataset.points) == len(FOUND)
 
 

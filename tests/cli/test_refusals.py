@@ -5,7 +5,9 @@ import shutil
 import pytest
 from PIL import Image
 
+import splatax as sx
 from captures import write_capture
+from scenes import random_gaussians
 from splatax import cli
 from splatax.runs import claim
 
@@ -48,6 +50,44 @@ def test_a_damaged_held_out_photo_is_refused_before_training(tmp_path, capsys):
     message = refused(capsys, "train", capture, "--out", tmp_path / "run", "--steps", 2)
     assert f"{path}: the photo is damaged" in message
     assert "Training is saved" not in message
+
+
+def test_a_held_out_photo_whose_mask_is_black_is_refused_before_training(tmp_path, capsys):
+    capture = write_capture(tmp_path / "capture")
+    (capture / "masks").mkdir()
+    Image.new("L", (64, 48)).save(capture / "masks" / "photo04.png")
+    message = refused(capsys, "train", capture, "--out", tmp_path / "run", "--steps", 2)
+    assert "photo04.png: its mask is entirely black" in message
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("render", "{scene}", "--path", "orbit", "--out", "{out}.gif"),
+        ("export", "{scene}", "{out}.spz"),
+        ("page", "{scene}", "{out}.html"),
+        ("mesh", "{scene}", "{out}.ply", "--scene", "{capture}"),
+        ("eval", "{scene}", "{capture}"),
+    ],
+)
+def test_a_scene_without_gaussians_is_refused_by_its_name(command, tmp_path, capsys):
+    scene, capture = tmp_path / "empty.ply", write_capture(tmp_path / "capture")
+    sx.save(scene, random_gaussians(n=0))
+    places = {"scene": scene, "capture": capture, "out": tmp_path / "out"}
+    message = refused(capsys, *(part.format(**places) for part in command))
+    assert f"{scene}: a scene without Gaussians" in message
+    assert not list(tmp_path.glob("out*"))
+
+
+def test_a_home_in_an_option_is_the_users_folder(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("USERPROFILE", str(tmp_path))
+    capture = write_capture(tmp_path / "capture")
+    monkeypatch.chdir(tmp_path)
+    cli.main(["train", str(capture), "--steps", "1", "--out=~/run"])
+    assert (tmp_path / "run" / "scene.ply").exists()
+    assert not (tmp_path / "~").exists()
 
 
 def without_model(capture):

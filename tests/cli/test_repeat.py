@@ -31,6 +31,31 @@ def test_a_run_of_another_version_is_repeated_with_a_warning(run, tmp_path, caps
     assert capsys.readouterr().err == f"splatax: {told}"
 
 
+def refused(capsys, *arguments) -> str:
+    with pytest.raises(SystemExit) as exit:
+        cli.main(["train", *map(str, arguments)])
+    assert exit.value.code == 2
+    return capsys.readouterr().err
+
+
+def test_a_run_that_was_stopped_early_is_not_repeated(run, tmp_path, capsys):
+    metrics = json.loads((run / "metrics.json").read_text())
+    (run / "metrics.json").write_text(json.dumps(metrics | {"interrupted": True}))
+    error = refused(capsys, "--repeat", run, "--out", tmp_path / "again")
+    assert f"{run}: this run was stopped early" in error
+    assert f"See --resume {run}" in error
+    assert not (tmp_path / "again").exists()
+
+
+def test_a_run_is_either_resumed_or_repeated(run, capsys):
+    assert "Give one of them" in refused(capsys, "--resume", run, "--repeat", run)
+
+
+def test_what_is_no_run_is_not_repeated(run, tmp_path, capsys):
+    assert "scene.ply: not the settings of a run" in refused(capsys, "--repeat", run / "scene.ply")
+    assert "nope: no such run" in refused(capsys, "--repeat", tmp_path / "nope")
+
+
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [

@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import splatax as sx
 from captures import write_capture
@@ -67,7 +68,7 @@ def refused(capsys, command, *arguments) -> str:
     return error
 
 
-QUICK = ("default", "classic")  # they stand for the others, which `make slow` stops
+QUICK = ("default",)  # it stands for the others, which `make slow` stops
 
 
 @pytest.fixture(params=[pytest.param(n, marks=[] if n in QUICK else pytest.mark.slow) for n in PRESETS])
@@ -156,7 +157,7 @@ def test_a_run_that_was_stopped_again_and_again_ends_with_the_same_bytes(
     assert not (tmp_path / "run" / "checkpoints").exists()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_a_signal_saves_writes_the_results_and_says_how_to_go_on(
     capture, finished, tmp_path, monkeypatch, capsys, number
 ):
@@ -251,7 +252,7 @@ def test_other_options_are_refused_and_named(stopped, capsys, tmp_path):
     assert "--steps 30: the run was started with 24" in error
     assert "--seed 1" in refused(capsys, go_on, stopped, "--seed", 1)
     assert "--out" in refused(capsys, go_on, stopped, "--out", tmp_path / "elsewhere")
-    assert "--overwrite True" in refused(capsys, go_on, stopped, "--overwrite")
+    assert "--overwrite: the run was started without it" in refused(capsys, go_on, stopped, "--overwrite")
     go_on(stopped, "--steps", STEPS, "--checkpoint-steps", 2)  # the same, and what changes no scene
 
 
@@ -269,6 +270,43 @@ def test_a_capture_that_changed_is_refused(stopped, tmp_path, capsys):
         assert "the capture of the run changed: points was 30" in refused(capsys, go_on, stopped, wider)
     finally:
         assert kept(stopped) == ["00000005.npz", "00000010.npz"]
+
+
+def test_photos_that_changed_are_named(stopped, tmp_path, capsys):
+    other = write_capture(tmp_path / "other")
+    (other / "masks").mkdir()
+    for name in ("photo00.png", "photo01.png", "photo02.png", "photo03.png"):
+        Image.new("L", (64, 48), 255).save(other / "masks" / name)
+    error = refused(capsys, go_on, stopped, other)
+    assert "changed: photo photo00.png was 64 x 48, is 64 x 48, with a mask; photo photo01.png was" in error
+    assert "; and 1 more. Put it back" in error
+
+
+def test_a_capture_that_has_moved_can_be_named(capture, stopped, tmp_path, capsys):
+    capture.rename(tmp_path / "moved")
+    try:
+        error = refused(capsys, go_on, stopped)
+    finally:
+        (tmp_path / "moved").rename(capture)
+    assert f"name its new folder: splatax train FOLDER --resume {stopped}" in error
+
+
+def test_a_photo_that_fails_on_the_way_loses_no_step(capture, tmp_path, monkeypatch, capsys):
+    def failing(*arguments):
+        for progress in sx.training.loop.optimize(*arguments):
+            yield progress
+            if progress.step == 8:
+                raise sx.errors.DatasetError("photo00.png: the photo is damaged.")
+
+    run = tmp_path / "run"
+    with monkeypatch.context() as broken:
+        broken.setattr(session, "optimize", failing)
+        error = refused(capsys, start, capture, run)
+    assert "photo00.png: the photo is damaged. The run is saved after step 8." in error
+    assert f"See --resume {run}" in error
+    go_on(run)
+    start(capture, tmp_path / "whole")
+    assert (run / "scene.ply").read_bytes() == (tmp_path / "whole" / "scene.ply").read_bytes()
 
 
 def test_a_run_goes_on_after_its_folder_and_its_capture_moved(

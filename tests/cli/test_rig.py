@@ -14,6 +14,7 @@ from splatax.cli import rigging
 from splatax.demo.posed_capture import write_arm_capture
 from splatax.io.formats.marks import metres_mark
 from splatax.io.rigs import load_rigged
+from splatax.runs import claim
 from splatax.sensors.metres import metres_of
 from splatax.training.rigged import optimize_rig
 
@@ -49,6 +50,7 @@ def test_a_run_holds_the_scene_its_poses_and_its_scores(run, arm):
     assert kept["photos"] == given["photos"]
 
 
+@pytest.mark.slow
 def test_a_rig_is_drawn_with_the_filter_that_it_was_trained_with(arm, tmp_path, monkeypatch):
     recipes = []
 
@@ -172,6 +174,15 @@ def test_a_held_out_photo_whose_mask_is_black_all_over_is_refused_before_trainin
     body = ["--skeleton", f"{arm}/body.glb", "--poses", f"{arm}/poses.json"]
     said = refused(capsys, "rig", str(capture), *body, "--out", str(tmp_path / "run"), "--steps", "1")
     assert "pose3-0.png: its mask is entirely black" in said
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_disk_without_space_for_the_results_is_refused_before_training(capsys, arm, tmp_path, monkeypatch):
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(claim.shutil, "disk_usage", lambda _: usage._replace(free=10**6))
+    body = ["--skeleton", f"{arm}/body.glb", "--poses", f"{arm}/poses.json"]
+    said = refused(capsys, "rig", str(arm), *body, "--out", str(tmp_path / "run"), "--steps", "1")
+    assert "the results need about" in said
     assert not (tmp_path / "run").exists()
 
 

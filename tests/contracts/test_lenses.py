@@ -122,8 +122,8 @@ def test_every_coefficient_moves_the_image_and_its_jacobian_as_finite_difference
         # Each method with and without distortion and motion: lens, motion and method are differentiated
         # one after the other.
         ("opencv", "still", Ewa()),
-        ("opencv", "still", Unscented()),
-        ("equirectangular", "still", Ewa()),
+        pytest.param("opencv", "still", Unscented(), marks=pytest.mark.slow),
+        pytest.param("equirectangular", "still", Ewa(), marks=pytest.mark.slow),
         pytest.param("pinhole", "rolling", Ewa(), marks=pytest.mark.slow),
         pytest.param("fisheye", "rolling", Unscented(), marks=pytest.mark.slow),
     ],

@@ -252,6 +252,7 @@ def test_measurements_have_the_shapes_and_kinds_of_the_docs_for_a_camera_and_for
             assert (both.shape, both.dtype.name) == ((2, *shape), kind), name
 
 
+@pytest.mark.slow
 def test_noise_can_be_randomized_in_one_program_for_each_picture():
     keys = jax.random.split(jax.random.key(5), 3)
 

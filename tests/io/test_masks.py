@@ -103,6 +103,13 @@ def test_a_damaged_mask_is_refused(capture):
         view_of(capture).mask()
 
 
+def test_a_mask_that_is_no_picture_is_called_a_mask(capture):
+    write_mask(capture, "photo01.png")
+    (capture / "masks" / "photo01.png").write_text("black")
+    with pytest.raises(DatasetError, match=r"masks/photo01.png: not a mask that can be read. Masks are"):
+        sx.load_dataset(capture)
+
+
 def test_masks_of_photos_that_were_shrunk_on_disk_may_be_whole(tmp_path):
     capture = write_capture(tmp_path / "capture", count=2, camera=pinhole())
     (capture / "images").rename(capture / "images_2")

@@ -1,9 +1,11 @@
 """Two processes never write to one folder at the same time."""
 
+import errno
 import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -56,12 +58,21 @@ def test_a_folder_is_free_again_after_a_failure_and_nothing_is_left(tmp_path):
     assert not run.exists()  # it was made for nothing
 
 
-def test_a_folder_that_cannot_be_written_to_names_its_disk(tmp_path):
-    (tmp_path / "file").touch()
+def test_a_folder_that_cannot_be_written_to_names_its_disk(tmp_path, monkeypatch):
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "mkdir", full)
     with (
         pytest.raises(InputError, match=r"cannot be written to .*the disk at /"),
-        claimed(tmp_path / "file" / "run"),
+        claimed(tmp_path / "run"),
     ):
+        pass
+
+
+def test_a_folder_below_a_file_is_refused_as_such(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="lies below a file"), claimed(tmp_path / "file" / "run"):
         pass
 
 

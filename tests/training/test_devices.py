@@ -131,6 +131,7 @@ def test_a_run_resumes_on_another_number_of_devices_with_the_same_bits():
     assert trained(*ON_EACH)[8].same == resumed[8].same
 
 
+@pytest.mark.slow
 @needs_cpu
 def test_a_step_exchanges_as_many_bytes_as_the_model_of_many_devices_counts():
     counted = int(re.search(r"run 8 (\d+)", printed("default", "--bytes", "--devices", "8"))[1])

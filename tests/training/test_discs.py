@@ -75,6 +75,7 @@ def test_the_distortion_does_not_depend_on_the_unit_of_length():
     assert_allclose(penalty(larger, farther, parts), penalty(cloud, camera, parts), rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_speck_in_front_of_the_camera_hardly_moves_the_surface_behind_it():
     """A wall of inverse depth d and weight 1 - w behind a speck of 1 / z >> d has the relative gradient
 

@@ -84,6 +84,7 @@ def test_errors_pull_less_the_farther_they_are_beyond_their_limit():
     assert_array_equal(saturated(errors, np.inf), errors)
 
 
+@pytest.mark.slow
 def test_wrong_points_hardly_pull_the_depth_that_right_ones_agree_on():
     """A wall at 1.01 times the depth of some points; as many others are three times as far."""
     wall = jnp.full((24, 32), 3.0)
@@ -97,6 +98,7 @@ def test_wrong_points_hardly_pull_the_depth_that_right_ones_agree_on():
     assert pull(Surfaces().points_limit) > 0
 
 
+@pytest.mark.slow
 def test_the_penalty_has_the_gradient_of_finite_differences(x64):
     gaussians = random_gaussians(n=12, degree=0, scale=(0.3, 0.6), dtype=np.float64)
     camera = camera_at((0.3, 0.2, -3.0), size=(8, 6), focal=8.0, dtype=np.float64)
@@ -150,6 +152,7 @@ def test_a_step_adds_the_penalty_and_its_gradient_to_those_of_the_photo():
         assert_allclose(whole, photo + part, atol=1e-3 * max(float(jnp.abs(whole).max()), 1e-6))
 
 
+@pytest.mark.slow
 def test_without_regularizers_only_colours_are_drawn():
     widths = []
     portable = backends.resolve("xla")

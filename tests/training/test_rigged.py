@@ -55,6 +55,7 @@ def dense(rig, n):
     return weights
 
 
+@pytest.mark.slow
 def test_the_scene_is_drawn_with_the_filter_that_it_was_trained_with():
     dataset, poses, pose_of = capture(views=1)
     recipe = recipe_for(1, 400)
@@ -97,6 +98,7 @@ def test_a_photo_without_a_pose_is_refused_by_name():
         next(optimize_rig(dataset, recipe_for(5, 100), covering(BODY, 50), poses, pose_of))
 
 
+@pytest.mark.slow
 def test_joints_turned_by_ten_degrees_are_recovered_to_one_degree():
     gaussians, rig = covering(BODY, 600, opacity=0.9)
     u = np.asarray(gaussians.means)
@@ -126,6 +128,7 @@ def test_joints_turned_by_ten_degrees_are_recovered_to_one_degree():
         fit_pose(scene, none.train, start)
 
 
+@pytest.mark.slow
 def test_stiff_joints_are_drawn_to_the_rest_pose_about_their_stiff_axes():
     gaussians, rig = covering(BODY, 20, opacity=1e-4)  # nothing is seen, so only the stiffness counts
     scene = RiggedScene(gaussians, rig, BODY.clips)

@@ -56,6 +56,7 @@ def test_the_same_bands_are_open_in_a_run_that_keeps_its_steps_as_by_whole_numbe
         assert (bands == np.minimum(made // max(steps // 20, 1), 4) + 1).all()
 
 
+@pytest.mark.slow
 def test_a_run_that_is_shortened_and_stopped_there_resumes_to_the_same_scene():
     dataset = sx.demo_dataset(photos=4, width=48, height=36)
     recipe = default(steps=40, max_gaussians=4_000)

@@ -19,7 +19,7 @@ from splatax.training.initialize import FromPoints, InFrusta, focus_distance
 from splatax.training.loop import first_state
 from splatax.training.optimizer import LearningRates, without_locked_bands
 from splatax.training.priors import NoPrior
-from splatax.training.recipes import Drawing, ShSchedule, default
+from splatax.training.recipes import PRESETS, Drawing, ShSchedule, default
 from splatax.training.step import _train_step, compare, photo_over, train_step
 
 SIZE = (40, 32)
@@ -240,6 +240,13 @@ def test_no_photos_and_no_steps_are_refused():
         next(sx.optimize(replace(dataset, train=()), RECIPE))
     with pytest.raises(ValueError, match="steps of a recipe must be"):
         next(sx.optimize(dataset, replace(RECIPE, steps=0)))
+
+
+@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("most", [0, -1])
+def test_a_recipe_for_less_than_a_gaussian_is_refused(name, most):
+    with pytest.raises(ValueError, match=f"max_gaussians must be a whole number of at least 1, not {most}"):
+        PRESETS[name].build(steps=10, max_gaussians=most)
 
 
 def test_a_step_refuses_a_recipe_that_names_its_backend():

@@ -68,6 +68,7 @@ def test_depth_images_of_wide_cameras_have_their_points_on_the_surface(lens, alo
     assert np.median(np.abs(points[:, 2])) < 0.03
 
 
+@pytest.mark.slow
 def test_a_part_is_found_in_a_frame_of_a_fisheye():
     part = sx.Part(random_gaussians(n=150, degree=0), Similarity.of(move=(0.4, -0.3, 2.0)))
     scene, camera = sx.Scene({"cup": part}), wide(48)

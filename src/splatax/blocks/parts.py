@@ -25,7 +25,7 @@ from splatax.gaussians import Gaussians
 from splatax.metrics import to_8bit
 from splatax.rendering import render
 from splatax.resampling import resize_mask
-from splatax.runs.resume import differences
+from splatax.runs.resume import differences, told
 from splatax.training.fingerprints import fingerprint
 from splatax.training.photo_cache import with_alpha
 
@@ -53,11 +53,11 @@ def part_of(dataset: Dataset, city: Path, number: int) -> Dataset:
     """
     plan = read_plan(city)
     check_number(plan, city, number)
-    changes = "; ".join(differences(dict(plan.capture), fingerprint(dataset)))
+    changes = list(differences(dict(plan.capture), fingerprint(dataset)))
     if changes:
         raise InputError(
-            f"{city / PLAN}: the capture has changed since the blocks were planned: {changes}. Put it back "
-            "as it was, or plan the blocks again."
+            f"{city / PLAN}: the capture has changed since the blocks were planned: {told(changes)}. Put it "
+            "back as it was, or plan the blocks again."
         )
     block, coarse = plan.blocks[number], read_coarse(plan)
     own = block.box.trains(places_of(np.asarray(coarse.means), plan.axes))

@@ -60,7 +60,7 @@ class Plan:
     """
 
     options: Mapping[str, Any]
-    capture: Mapping[str, str]
+    capture: Mapping[str, Any]
     coarse: Path
     coarse_digest: str
     axes: Float[np.ndarray, "2 3"]

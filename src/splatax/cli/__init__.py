@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Collection, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import make_dataclass
+from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
@@ -73,6 +74,14 @@ def parsed(given: Sequence[str]) -> Any:
         return understand(choices(named, COMMANDS))
 
 
+def with_home(argument: str) -> str:
+    """Returns an argument with the user's folder in place of ~ in --option=~/path, where shells leave it."""
+    option, equals, value = argument.partition("=")
+    if option.startswith("--") and value.partition("/")[0] == "~":
+        return f"{option}{equals}{Path(value).expanduser()}"
+    return argument
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Runs a command. Bad input ends in one sentence on standard error and exit code 2."""
     with guarded():
@@ -80,7 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if given == ["--version"]:
             say(f"splatax {splatax.__version__}")
             return
-        command = parsed(given)
+        command = parsed([with_home(text) for text in given])
         warnings.showwarning = lambda message, *_: complain(f"warning: {message}")  # without lines of code
         keep_compiled_programs()
         keep_freed_memory()

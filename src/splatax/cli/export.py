@@ -158,9 +158,7 @@ class Export:
         if place is not None:
             edited = place.transform(edited)
         if len(edited) == 0:
-            raise InputError(
-                f"{self.out}: this would remove every Gaussian; use a larger crop or fewer filters."
-            )
+            raise InputError(f"{self.model}: no Gaussian would be left. Use a larger crop or fewer filters.")
         if is_page(self.out):
             views = moved(dataset.views, place) if dataset else ()
             cameras = {view.name: view.camera for view in views}

@@ -108,12 +108,14 @@ def read_model(path: Path, low_pass: str | None) -> Model:
             names.
 
     Raises:
-        InputError: if there is no model, or it cannot be read.
+        InputError: if there is no model, it cannot be read, or it has no Gaussians.
     """
     found = scene_at(path)
     for note in found.notes:
         say(f"note    {note}")
     gaussians = sx.load(found.path)
+    if len(gaussians) == 0:
+        raise InputError(f"{found.path}: a scene without Gaussians. Write it again, or choose another one.")
     if chosen := low_pass or found.low_pass:
         gaussians = replace(gaussians, low_pass=parsed("low_pass", chosen, low_pass_of))
     return Model(found.path, found.name, gaussians, found.options)

@@ -14,9 +14,10 @@ from splatax.cli.display import Display
 from splatax.cli.interruption import Interruption
 from splatax.cli.options import BackgroundName, flag, parsed
 from splatax.cli.output import say
-from splatax.dataset import Dataset, mask_of
+from splatax.dataset import Dataset
 from splatax.digests import file_digest
 from splatax.errors import InputError
+from splatax.evaluation import require_scorable
 from splatax.gaussians import Gaussians
 from splatax.io.files import write_whole
 from splatax.io.rigs import read_body, save_rigged
@@ -25,7 +26,7 @@ from splatax.low_pass import low_pass_of
 from splatax.rendering import Color
 from splatax.report.rigged import posed_comparisons, rig_report, seen_by
 from splatax.runs.checkpoints import Checkpoints
-from splatax.runs.claim import claimed_for_run
+from splatax.runs.claim import claimed_for_run, require_space
 from splatax.runs.history import History
 from splatax.runs.resume import Earlier, facts
 from splatax.scene.binding import covering
@@ -133,6 +134,7 @@ def train_rig(
     if earlier:
         start = resumed(earlier, about, recipe, start[1], len(posing.poses))
     with claimed_for_run(out, replace_earlier):
+        require_space(out, settings.most(dataset))
         history = earlier.history if earlier else History()
         checkpoints = Checkpoints(
             out,
@@ -158,8 +160,7 @@ def loaded(settings: RigSettings) -> Subject:
     dataset = sx.load_dataset(settings.scene)
     for note in (*body.notes, *dataset.notes):
         say(f"note    {note}")
-    for view in dataset.test:  # those of training are checked as they are read
-        mask_of(view)
+    require_scorable(dataset.test)
     return Subject(dataset, body, posing_of(settings, body, dataset))
 
 

@@ -207,8 +207,9 @@ def as_started(kind: type[Kind], stored: Mapping[str, Any], given: Mapping[str, 
     settings = kind(**typed_fields(kind, stored))
     for name, value in given.items():
         if name not in free and value != getattr(settings, name):
+            begun = f"with {getattr(settings, name)}, which" if value is not True else "without it, which"
             raise InputError(
-                f"{flag(name)} {value}: the run was started with {getattr(settings, name)}, which cannot be "
+                f"{flag(name)}{'' if value is True else f' {value}'}: the run was started {begun} cannot be "
                 "changed. Leave the option out, or start a new run."
             )
     return replace(settings, **given)  # type: ignore[type-var]

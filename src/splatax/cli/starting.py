@@ -150,6 +150,20 @@ class ResumedRun(Run):
 
     earlier: Earlier = field(kw_only=True)
 
+    def checked(self) -> Run:
+        """Returns the run with absolute paths of its input files.
+
+        Raises:
+            InputError: also if the capture is not where it was.
+        """
+        run = super().checked()
+        if not run.scene.exists():
+            raise InputError(
+                f"{run.scene}: the capture of the run is not there. If it has moved, name its new folder: "
+                f"splatax train FOLDER --resume {self.earlier.run}"
+            )
+        return run
+
     @property
     def out(self) -> Path:
         """Folder of the run, which may have moved since it started."""

@@ -70,6 +70,11 @@ class Train:
             raise InputError(
                 "--within: a resumed or repeated run has a fixed number of steps. Leave the option out."
             )
+        if self.rerun.resume is not None and self.rerun.repeat is not None:
+            raise InputError(
+                "--resume: continues a run that was stopped, and --repeat makes a finished one again. Give "
+                "one of them."
+            )
         if self.rerun.resume is not None:
             return resumed(self.rerun.resume, chosen)
         if self.rerun.repeat is not None:

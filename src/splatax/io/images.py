@@ -71,26 +71,27 @@ class Header:
     divisor: int = 1
 
 
-def header_of(path: Path, *, upright: bool = False) -> Header:
+def header_of(path: Path, *, upright: bool = False, what: str = "photo") -> Header:
     """Returns the size of a photo from its header alone.
 
     Args:
         path: path of the photo.
         upright: apply the EXIF orientation. A PNG may store it behind the pixels, and is then decoded.
+        what: noun for the picture in messages.
 
     Raises:
         DatasetError: if the file is not a photo, is damaged, or would not fit into memory.
     """
-    with opened(path) as image:
+    with opened(path, what) as image:
         header = _fitting(path, image)
         if upright and orientation(image) in SIDEWAYS:
             return Header(header.size[::-1], header.divisor)
         return header
 
 
-def size_of(path: Path, *, upright: bool = False) -> tuple[int, int]:
+def size_of(path: Path, *, upright: bool = False, what: str = "photo") -> tuple[int, int]:
     """Returns the width and height to which `read` decodes a photo; see `header_of`."""
-    return header_of(path, upright=upright).size
+    return header_of(path, upright=upright, what=what).size
 
 
 def read(
@@ -175,7 +176,7 @@ def read_mask(path: Path) -> Mask:
     Raises:
         DatasetError: if the file is not a picture, is damaged, or would not fit into memory.
     """
-    with opened(path, "mask", "Make it again.") as image:
+    with opened(path, "mask") as image:
         _fitting(path, image)
         one_channel = image.mode in ("1", "L", "I", "F") or image.mode.startswith("I;16")
         shades = np.atleast_3d(np.array(image if one_channel else image.convert("RGB")))
@@ -192,19 +193,19 @@ def write(path: Path, pixels: UInt8[np.ndarray, "h w 3"] | UInt8[np.ndarray, "h 
 
 
 @contextmanager
-def opened(
-    path: Path, what: str = "photo", way_out: str = "Restore it from the camera."
-) -> Iterator["Image.Image"]:
+def opened(path: Path, what: str = "photo", way_out: str | None = None) -> Iterator["Image.Image"]:
     """Opens a picture of a known format without decoding it. Exceptions inside become errors about it.
 
     Args:
         path: path of the picture.
-        what: noun for the picture in the message.
-        way_out: end of the message about a damaged picture.
+        what: noun for the picture in messages.
+        way_out: end of the message about a damaged picture. None: to restore a photo, and to make another
+            picture again.
 
     Raises:
         DatasetError: if there is no such picture, or it is damaged.
     """
+    way_out = way_out or ("Restore it from the camera." if what == "photo" else "Make it again.")
     if not path.exists():
         raise DatasetError(f"{path}: no such {what}.")
     with path.open("rb") as file:
@@ -231,8 +232,8 @@ def _identified(path: Path, file: BinaryIO, what: str, way_out: str) -> "Image.I
             # would then kill the process, and an uncompressed TIFF that must be turned would be scrambled.
             return factory(file, "")
     raise DatasetError(
-        f"{path}: not a {what} that can be read. Photos are {', '.join(sorted(SUFFIXES))}: convert it to one "
-        "of them."
+        f"{path}: not a {what} that can be read. {what.capitalize()}s are {', '.join(sorted(SUFFIXES))}: "
+        "convert it to one of them."
     )
 
 

@@ -37,7 +37,7 @@ def read(path: Path, width: int, height: int) -> Int[np.ndarray, "h w"]:
     Raises:
         DatasetError: if the picture is missing or damaged, has colours, or has other proportions.
     """
-    with images.opened(path, "label image", "Make it again.") as image:
+    with images.opened(path, "label image") as image:
         if image.mode not in ("1", "L", "P", "I") and not image.mode.startswith("I;16"):
             raise DatasetError(
                 f"{path}: a picture of colours ({image.mode}). Labels are whole numbers: save it as one grey "

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from splatax.errors import InputError
-from splatax.io.files import disk_of
+from splatax.io.files import disk_of, explained
 from splatax.runs.checkpoints import files
 
 try:
@@ -38,6 +38,8 @@ def claimed(folder: Path) -> Iterator[None]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         file = _locked(folder)
+    except (NotADirectoryError, FileExistsError) as error:
+        raise InputError(explained(error), options=("out",)) from error
     except OSError as error:
         raise InputError(
             f"{folder}: cannot be written to ({error.strerror}; {disk_of(folder)}). Choose another folder.",

@@ -108,10 +108,20 @@ def finished(run: Path, names: set[str]) -> tuple[dict[str, Any], list[tuple[int
         names: of the options that this version has.
 
     Raises:
-        InputError: if there is no such run, or it was made with other options.
+        InputError: if there is no such run, it was stopped early, or it was made with other options.
     """
+    if not run.exists():
+        raise InputError(f"{run}: no such run. Give the folder of a finished run.")
     path = run / "config.json" if run.is_dir() else run
+    if path.suffix != ".json":
+        raise InputError(f"{path}: not the settings of a run. Give the folder of a finished run.")
     options = part_of(path, {}, within="options")
+    if run.is_dir() and part_of(run / "metrics.json", {}).get("interrupted"):
+        raise InputError(
+            f"{run}: this run was stopped early, so it can only be resumed. Resume it to its end, and repeat "
+            "it then.",
+            options=(f"resume {run}",),
+        )
     if options.keys() != names:
         other = ", ".join(sorted(options.keys() ^ names))
         raise InputError(

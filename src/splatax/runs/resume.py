@@ -1,7 +1,7 @@
 """Resuming a run: its newest checkpoint, and checks that nothing has changed since."""
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -21,6 +21,8 @@ from splatax.training.recipes import Recipe
 Run = TypeVar("Run")
 FACTS = {"options": dict, "recipe": dict, "capture": dict, "versions": dict, "device": str}
 TRAIN = "train"  # the command of runs that do not name theirs among their options
+MISSING = "missing"
+MOST_NAMED = 3  # changes that a message names; the rest are counted
 OTHER = "Resume from another one in its folder, or start the run again."
 
 
@@ -85,10 +87,10 @@ class Earlier:
                 raise FormatError(f"{self.path}: {error}.") from error
 
     def _require(self, subject: str, now: Mapping[str, Any]) -> None:
-        changes = "; ".join(differences(self.facts[subject], now))
+        changes = list(differences(self.facts[subject], now))
         if changes:
             raise InputError(
-                f"{self.path}: cannot be resumed, because the {subject} of the run changed: {changes}. "
+                f"{self.path}: cannot be resumed, because the {subject} of the run changed: {told(changes)}. "
                 "Put it back as it was, or start a new run."
             )
 
@@ -160,10 +162,16 @@ def newest(run: Path) -> Path:
     raise InputError(f"{run}: no checkpoint. If a run was stopped here before its first, start it again.")
 
 
+def told(changes: Sequence[str]) -> str:
+    """Returns changes as part of a message, which names the first few and counts the others."""
+    more = len(changes) - MOST_NAMED
+    return "; ".join([*changes[:MOST_NAMED], *([f"and {more:,} more"] if more > 0 else [])])
+
+
 def differences(then: Any, now: Any, name: str = "") -> Iterator[str]:
     """Yields what differs between two JSON values, in words."""
     if isinstance(then, dict) and isinstance(now, dict):
         for key in [*then, *(key for key in now if key not in then)]:
-            yield from differences(then.get(key), now.get(key), f"{name} {key}".strip())
+            yield from differences(then.get(key, MISSING), now.get(key, MISSING), f"{name} {key}".strip())
     elif then != now:
         yield f"{name} was {then}, is {now}"

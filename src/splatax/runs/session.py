@@ -8,8 +8,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
 
+import jax
+
 from splatax.dataset import Dataset
-from splatax.errors import InputError
+from splatax.errors import DatasetError, InputError
 from splatax.evaluation import evaluate, picture
 from splatax.io.files import explained
 from splatax.runs.budget import Changes
@@ -87,7 +89,7 @@ class Session:
             return
         history = self.history
         self._watch = Stopwatch(history.train_seconds)
-        for progress in optimize(self.dataset, self.recipe, start, self.changes, self.photo_room):
+        for progress in self._saved_if_a_photo_fails(start):
             history.losses.append(progress.loss)
             history.counts.append(progress.count)
             history.interrupted = self.stop_requested() and progress.step < progress.total
@@ -103,6 +105,23 @@ class Session:
         if not history.interrupted:
             self._keep(progress.state)
         self._end(progress.state)
+
+    def _saved_if_a_photo_fails(self, start: RunState | None) -> Iterator[Progress]:
+        """Yields the steps of the run. If a photo can no longer be read, saves the steps until then."""
+        last = None
+        try:
+            for last in optimize(self.dataset, self.recipe, start, self.changes, self.photo_room):
+                yield last
+        except DatasetError as error:
+            if last is None or not isinstance(self.checkpoints, Checkpoints) or jax.process_count() > 1:
+                raise
+            with self.paused(last):
+                self._save(last)
+                self.checkpoints.wait()
+            raise DatasetError(
+                f"{error} The run is saved after step {last.step:,}. Resume it once that is mended.",
+                options=(f"resume {self.checkpoints.run}",),
+            ) from error
 
     @contextmanager
     def paused(self, progress: Progress) -> Iterator[None]:

@@ -6,31 +6,41 @@ from typing import Any
 import jax
 import numpy as np
 
-from splatax.dataset import Dataset
+from splatax.cameras import Camera
+from splatax.dataset import Dataset, View
 from splatax.digests import digest
 from splatax.training.random_keys import as_integers
 from splatax.training.recipes import Recipe
 
 
 def fingerprint(dataset: Dataset) -> dict[str, Any]:
-    """Returns digests of a capture as JSON values: of names and sizes of photos, cameras and points.
+    """Returns what a capture is made of as JSON values: sizes of photos, and digests of cameras and points.
 
     The contents of the photos are not read.
     """
     views = dataset.train + dataset.test
-    sizes = [(view.name, view.camera.width, view.camera.height, view.mask is not None) for view in views]
-    cameras = [np.asarray(leaf) for view in views for leaf in jax.tree.leaves(view.camera)]
-    lenses = "".join(type(view.camera.lens).__name__ for view in views)  # some have no numbers
     own = dataset.block
     parts = (own.start, own.context, own.fraction) if own else ()
     block = [np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(parts)]
     return {
         "photos": f"{len(dataset.train)} to train on and {len(dataset.test)} held out",
-        "names, sizes and masks of photos": digest(repr(sizes).encode()),
-        "cameras": digest(lenses.encode(), *(array.tobytes() for array in cameras)),
+        "photo": {view.name: size_of(view) for view in views},
+        "camera of": {view.name: digest_of(view.camera) for view in views},
         "points": f"{len(dataset.points)}, "
         + digest(dataset.points.positions.tobytes(), dataset.points.colors.tobytes()),
     } | ({"block": digest(*block)} if block else {})
+
+
+def size_of(view: View) -> str:
+    """Returns the size of a photo, and whether it has a mask, in words."""
+    masked = ", with a mask" if view.mask is not None else ""
+    return f"{view.camera.width} x {view.camera.height}{masked}"
+
+
+def digest_of(camera: Camera) -> str:
+    """Returns a digest of a camera, also of the kind of its lens, because some have no numbers."""
+    leaves = (np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(camera))
+    return digest(type(camera.lens).__name__.encode(), *leaves)
 
 
 def facts_of(recipe: Recipe, dataset: Dataset, state: Any) -> dict[str, str]:
@@ -46,7 +56,12 @@ def facts_of(recipe: Recipe, dataset: Dataset, state: Any) -> dict[str, str]:
     settings = recipe.on(backend if isinstance(backend, str) else backend.name)
     leaves = map(as_integers, jax.tree.leaves(state))
     return {
-        **{name: str(value) for name, value in fingerprint(dataset).items()},
+        **{name: brief(value) for name, value in fingerprint(dataset).items()},
         "recipe": digest(re.sub(addresses, "", repr(settings)).encode()),
         "state before the first step": digest(*(np.asarray(leaf).tobytes() for leaf in leaves)),
     }
+
+
+def brief(value: Any) -> str:
+    """Returns a value as a short text: a digest in place of a mapping."""
+    return digest(repr(value).encode()) if isinstance(value, dict) else str(value)

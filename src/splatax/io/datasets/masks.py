@@ -38,7 +38,7 @@ def check_proportions(path: Path, photo: tuple[int, int]) -> None:
     Raises:
         DatasetError: if they differ.
     """
-    (width, height), (photo_width, photo_height) = images.size_of(path), photo
+    (width, height), (photo_width, photo_height) = images.size_of(path, what="mask"), photo
     rounding = 1.5 * max(width / photo_width, 1)  # pixels by which a resized side may differ
     if abs(width * photo_height / photo_width - height) > rounding:
         raise DatasetError(

@@ -20,6 +20,7 @@ from splatax.gaussians import Gaussians
 from splatax.math import ellipsoids
 from splatax.splats import Splats
 from splatax.training.capacity import bucket_for, with_empty_slots
+from splatax.training.density.growth import require_limit
 from splatax.training.density.pulls import pulls
 from splatax.training.protocols import DensityUpdate, Lineage
 
@@ -50,6 +51,9 @@ class Classic:
     reset_every: int = 3_000  # steps between opacity resets
     reset_opacity: float = 0.01  # highest opacity after a reset
     max_gaussians: int = 5_000_000  # growth stops here; the largest gradients are densified first
+
+    def __post_init__(self) -> None:
+        require_limit(self.max_gaussians)
 
     def init(self, capacity: int) -> Observed:
         """Returns statistics of no view."""

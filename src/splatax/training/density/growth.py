@@ -1,6 +1,7 @@
 """Growth of the number of Gaussians from one refinement to the next."""
 
 from dataclasses import dataclass
+from numbers import Integral
 
 
 @dataclass(frozen=True)
@@ -27,3 +28,13 @@ class ByStep:
 
 
 Growth = ByFactor | ByStep
+
+
+def require_limit(max_gaussians: int) -> None:
+    """Checks the largest number of Gaussians.
+
+    Raises:
+        ValueError: if it is not a whole number of at least 1.
+    """
+    if not isinstance(max_gaussians, Integral) or max_gaussians < 1:
+        raise ValueError(f"max_gaussians must be a whole number of at least 1, not {max_gaussians}")

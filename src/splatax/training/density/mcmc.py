@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from splatax.gaussians import Gaussians
 from splatax.splats import Splats
 from splatax.training.capacity import bucket_for, with_empty_slots
-from splatax.training.density.growth import ByFactor, Growth
+from splatax.training.density.growth import ByFactor, Growth, require_limit
 from splatax.training.protocols import DensityUpdate, Lineage
 
 MAX_COPIES = 51  # by which one Gaussian is replaced in a refinement (the authors' limit)
@@ -32,6 +32,9 @@ class Mcmc:
     growth: Growth = ByFactor()
     min_opacity: float = 0.005  # Gaussians of at most this opacity are dead, and relocated
     max_gaussians: int = 1_000_000
+
+    def __post_init__(self) -> None:
+        require_limit(self.max_gaussians)
 
     def init(self, capacity: int) -> tuple[()]:
         """Returns an empty state: relocation depends only on opacities."""

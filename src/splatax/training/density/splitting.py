@@ -18,7 +18,7 @@ from splatax.gaussians import Gaussians
 from splatax.math import ellipsoids
 from splatax.splats import Splats
 from splatax.training.capacity import bucket_for, with_empty_slots
-from splatax.training.density.growth import ByFactor, Growth
+from splatax.training.density.growth import ByFactor, Growth, require_limit
 from splatax.training.density.pulls import pulls
 from splatax.training.protocols import DensityUpdate, Lineage
 
@@ -55,6 +55,9 @@ class Splitting:
     focus: float = 3.0  # exponent of the pull in the probability of being a parent
     halves: Halves = Halves()
     max_gaussians: int = 1_000_000
+
+    def __post_init__(self) -> None:
+        require_limit(self.max_gaussians)
 
     def init(self, capacity: int) -> Observed:
         """Returns sums of no view."""

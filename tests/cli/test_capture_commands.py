@@ -21,10 +21,12 @@ def photos(tmp_path_factory):
 def test_photos_become_a_capture_that_is_sound_enough_to_train_on(photos, tmp_path, capsys):
     out = tmp_path / "capture"
     Image.new("RGB", corner.SIZE).save(photos / "black.png")
+    (photos / "walk.mp4").write_bytes(b"x")
     cli.main(["reconstruct", str(photos), "--out", str(out), "--detail", "normal"])
     printed = capsys.readouterr().out
     assert "8 of 9 photos registered" in printed
     assert "not registered: black.png: too few features" in printed
+    assert "not registered: walk.mp4: a video, and those among photos are not read" in printed
     for stage in ("reading", "features", "matches", "poses", "writing"):
         assert f"{stage}: " in printed
     assert "--overwrite" in refused(capsys, "reconstruct", photos, "--out", out)

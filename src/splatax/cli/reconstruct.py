@@ -18,6 +18,7 @@ from splatax.reconstruction import Outcome, forecast, pipeline, reconstruct, ref
 from splatax.reconstruction.mapping import Features
 from splatax.reconstruction.pairs import Exhaustive, Pairing, Sequential, Similar
 from splatax.reconstruction.panoramas import Panoramas
+from splatax.reconstruction.photos import VIDEO
 from splatax.reconstruction.work import clear
 from splatax.runs.budget import duration
 from splatax.runs.claim import claimed
@@ -138,8 +139,9 @@ class Forecasting:
 def told(outcome: Outcome) -> list[str]:
     """Returns how many photos were registered, and why others were not, as lines."""
     count = len(outcome.registered)
+    every = count + sum(reason != VIDEO for reason in outcome.rejected.values())
     lines = [
-        f"{count} of {count + len(outcome.rejected)} photos registered",
+        f"{count} of {every} photos registered",
         f"{outcome.points:,} points, mean reprojection error {outcome.error:.2f} px",
     ]
     if outcome.panoramas:

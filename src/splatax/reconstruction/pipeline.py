@@ -41,7 +41,7 @@ class Outcome:
 
     Attributes:
         registered: names of the photos with a pose.
-        rejected: reasons why the other photos have none, by name.
+        rejected: reasons why the other photos, and videos among them, have none, by name.
         points: number of points.
         error: mean reprojection error, pixels of the written photos.
         panoramas: number of 360-degree photos with a pose.

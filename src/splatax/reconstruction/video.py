@@ -93,8 +93,8 @@ def warn_if_cut_short(path: Path, times: list[float], total: int, seconds: float
     if not times or len(times) >= COMPLETE * total or times[-1] - times[0] >= COMPLETE * seconds:
         return
     warnings.warn(
-        f"{path}: it ends after {len(times)} of about {total} frames, so it is incomplete. Copy it from the "
-        "camera again. Only the frames that are there are used.",
+        f"{path}: it ends after {len(times)} of about {total} frames, so it is probably incomplete. Copy it "
+        "from the camera again. Only the frames that are there are used.",
         stacklevel=1,
     )
 

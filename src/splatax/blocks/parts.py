@@ -53,11 +53,10 @@ def part_of(dataset: Dataset, city: Path, number: int) -> Dataset:
     """
     plan = read_plan(city)
     check_number(plan, city, number)
-    changes = list(differences(dict(plan.capture), fingerprint(dataset)))
-    if changes:
+    if changes := told(differences(dict(plan.capture), fingerprint(dataset))):
         raise InputError(
-            f"{city / PLAN}: the capture has changed since the blocks were planned: {told(changes)}. Put it "
-            "back as it was, or plan the blocks again."
+            f"{city / PLAN}: the capture has changed since the blocks were planned: {changes}. Put it back "
+            "as it was, or plan the blocks again."
         )
     block, coarse = plan.blocks[number], read_coarse(plan)
     own = block.box.trains(places_of(np.asarray(coarse.means), plan.axes))

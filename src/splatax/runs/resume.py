@@ -1,7 +1,7 @@
 """Resuming a run: its newest checkpoint, and checks that nothing has changed since."""
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -87,10 +87,9 @@ class Earlier:
                 raise FormatError(f"{self.path}: {error}.") from error
 
     def _require(self, subject: str, now: Mapping[str, Any]) -> None:
-        changes = list(differences(self.facts[subject], now))
-        if changes:
+        if changes := told(differences(self.facts[subject], now)):
             raise InputError(
-                f"{self.path}: cannot be resumed, because the {subject} of the run changed: {told(changes)}. "
+                f"{self.path}: cannot be resumed, because the {subject} of the run changed: {changes}. "
                 "Put it back as it was, or start a new run."
             )
 
@@ -162,10 +161,11 @@ def newest(run: Path) -> Path:
     raise InputError(f"{run}: no checkpoint. If a run was stopped here before its first, start it again.")
 
 
-def told(changes: Sequence[str]) -> str:
-    """Returns changes as part of a message, which names the first few and counts the others."""
-    more = len(changes) - MOST_NAMED
-    return "; ".join([*changes[:MOST_NAMED], *([f"and {more:,} more"] if more > 0 else [])])
+def told(changes: Iterable[str]) -> str:
+    """Returns changes as part of a message, which names the first few and counts the others; "" for none."""
+    every = list(changes)
+    named, more = every[:MOST_NAMED], len(every) - MOST_NAMED
+    return "; ".join([*named, f"and {more:,} more"] if more > 0 else named)
 
 
 def differences(then: Any, now: Any, name: str = "") -> Iterator[str]:

@@ -119,7 +119,7 @@ class Session:
                 self._save(last)
                 self.checkpoints.wait()
             raise DatasetError(
-                f"{error} The run is saved after step {last.step:,}. Resume it once that is mended.",
+                f"{error} The run is saved after step {last.step:,}. Resume it once that is fixed.",
                 options=(f"resume {self.checkpoints.run}",),
             ) from error
 

@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+ALL_BUILDS := $(VENV)/.all_builds
+EDITABLE := $(BIN)/python -m pip install --quiet --no-compile --editable
 
 .PHONY: demo test slow lint fuzz sanitize bench gpu-check page clean
 
@@ -12,7 +14,7 @@ demo: $(READY)  ## renders a small synthetic capture, trains on it, and prints t
 test: $(READY)  ## runs all tests except those of `make slow`
 	$(BIN)/python -m pytest --numprocesses auto --dist worksteal -m "not slow and not other_build"
 
-slow: $(READY)  ## runs the tests that take many seconds each, such as whole commands on real captures, and those of builds for other CPUs
+slow: $(ALL_BUILDS)  ## runs the tests that take many seconds each, such as whole commands on real captures, and those of builds for other CPUs
 	$(BIN)/python -m pytest --numprocesses auto --dist worksteal -m "slow or other_build" --durations 25
 
 FUZZ_SECONDS ?= 60
@@ -35,7 +37,7 @@ BEST = $(shell $(BIN)/python -c "from splatax.backends.cpu import library; print
 JAXLIB := $(shell sed -n 's/.*"\(jaxlib==[^"]*\)".*/\1/p' pyproject.toml)
 sanitize: $(READY) $(HEADERS)/.ready  ## runs the tests of the native library under the address and undefined-behaviour sanitizers
 	PYTHONPATH=$(abspath $(HEADERS)) cmake -S . -B $(SANITIZED) -DPython_EXECUTABLE=$(abspath $(BIN)/python) -DSPLATAX_SANITIZE=address,undefined
-	cmake --build $(SANITIZED) --target splatax_baseline splatax_$(BEST) --parallel $(shell getconf _NPROCESSORS_ONLN)
+	cmake --build $(SANITIZED) --target splatax_instructions splatax_baseline splatax_$(BEST) --parallel $(shell getconf _NPROCESSORS_ONLN)
 	LD_PRELOAD="$$($(CXX) -print-file-name=libasan.so) $$($(CXX) -print-file-name=libubsan.so) $$($(CXX) -print-file-name=libstdc++.so)" \
 	  ASAN_OPTIONS=detect_leaks=0:malloc_context_size=1:quarantine_size_mb=16 \
 	  SPLATAX_NATIVE=$(abspath $(SANITIZED)) \
@@ -66,10 +68,15 @@ $(VIEWER): web/package-lock.json web/build.mjs $(wildcard web/src/*.js)
 clean:
 	rm -rf $(VENV) build dist web/node_modules $(VIEWER)
 
-# Python compiles a module when it is first imported. Most of the ten thousand that are installed never are.
+# Python compiles a module when it is first imported. Most of the ten thousand that are installed never are. The native
+# library is built for this machine; the other builds, which take longer, are added for the tests that need them.
 $(READY): pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "splatax needs Python 3.11 or newer; try make PYTHON=python3.12 ...")'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --no-compile --upgrade pip
-	$(BIN)/python -m pip install --quiet --no-compile --editable '.[test]'
+	$(EDITABLE) '.[test]' --config-settings=cmake.define.SPLATAX_BUILDS=native
+	touch $@
+
+$(ALL_BUILDS): $(READY)
+	$(EDITABLE) . --no-deps --config-settings=cmake.define.SPLATAX_BUILDS=all
 	touch $@

@@ -51,7 +51,7 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 
-MOST_MAPPINGS = 20_000  # of memory, per process; Linux allows 65,530
+MOST_MAPPINGS = 45_000  # of memory, per process; Linux allows 65,530
 MAPPINGS = Path("/proc/self/maps")
 _tests = itertools.count(1)
 

@@ -31,7 +31,11 @@ KINDS = {
     "opencv": {"lens": opencv(0.05, -0.02, 0.003, -0.002, 0.001)},
     "rolling shutter": {"motion": RollingShutter(TWIST)},
 }
-REPEATING = (  # combinations of what quicker tests have shown
+OTHERS = (  # left to `make slow`
+    ("pinhole", False),
+    ("fisheye", True),
+    ("fisheye", False),
+    ("rolling shutter", True),
     ("rolling shutter", False),
     ("orthographic", True),
     ("orthographic", False),
@@ -133,11 +137,7 @@ def test_alpha_of_a_disc_is_that_of_the_point_where_the_ray_meets_it(camera):
     ("kind", "flat"),
     [
         ("pinhole", True),
-        ("pinhole", False),
-        ("fisheye", True),
-        ("fisheye", False),
-        ("rolling shutter", True),
-        *(pytest.param(*case, marks=pytest.mark.slow) for case in REPEATING),
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in OTHERS),
     ],
 )
 def test_gradients_of_scene_and_camera_are_those_of_finite_differences(kind, flat, x64):
@@ -214,6 +214,7 @@ def test_ellipses_in_one_view_with_slanted_splats_are_drawn_as_before():
     assert_allclose(image, composite(ellipses, ellipses.colors, backend="reference")[0], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_discs_seen_edge_on_are_drawn_as_blurs_and_have_finite_gradients():
     camera = camera_at((0.0, 0.0, -4.0), size=(32, 24))
     edge_on = replace(
@@ -234,14 +235,15 @@ def test_discs_seen_edge_on_are_drawn_as_blurs_and_have_finite_gradients():
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "flat"),
     [
         ("fisheye", True),
-        pytest.param("rolling shutter", True, marks=pytest.mark.slow),
-        pytest.param("opencv", True, marks=pytest.mark.slow),
-        pytest.param("fisheye", False, marks=pytest.mark.slow),
-        pytest.param("rolling shutter", False, marks=pytest.mark.slow),
+        ("rolling shutter", True),
+        ("opencv", True),
+        ("fisheye", False),
+        ("rolling shutter", False),
     ],
 )
 def test_other_lenses_and_moving_cameras_are_followed_to_first_order(kind, flat, x64):

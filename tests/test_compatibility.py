@@ -52,7 +52,7 @@ def newer(frame):
 
 real = native.library
 native.library = lambda instructions: SimpleNamespace(
-    splatax_best_instructions=real("baseline").splatax_best_instructions, splatax_rasterize_forward=newer
+    splatax_best_instructions=real(native.CHOICE).splatax_best_instructions, splatax_rasterize_forward=newer
 )
 """
 

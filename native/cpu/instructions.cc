@@ -1,4 +1,6 @@
-// The fastest of the libraries that the machine can run. Only the baseline library has this function.
+// The fastest instruction set that the machine can run: a library of its own, and a program for CMake.
+
+#include <cstdio>
 
 extern "C" __attribute__((visibility("default"))) const char* splatax_best_instructions() {
 #if defined(__x86_64__)
@@ -12,3 +14,7 @@ extern "C" __attribute__((visibility("default"))) const char* splatax_best_instr
 #endif
   return "baseline";
 }
+
+#if defined(SPLATAX_PRINT_INSTRUCTIONS)
+int main() { std::fputs(splatax_best_instructions(), stdout); }
+#endif

@@ -66,6 +66,7 @@ def test_the_rasterizer_gives_the_same_bits_in_any_order_of_threads(other_order)
     same_bits(lambda: image_and_gradient(watched(SCENE), emulated.kernels()), other_order)
 
 
+@pytest.mark.slow
 def test_many_channels_and_rounds_give_the_same_bits_in_any_order_of_threads(other_order):
     channels = jnp.asarray(np.random.default_rng(1).normal(size=(300, 6)), jnp.float32)
     in_rounds = emulated.kernels(max_pairs=300)

@@ -54,6 +54,7 @@ def city(original, tmp_path):
     return shutil.copytree(original / "city", tmp_path / "city")
 
 
+@pytest.mark.slow
 def test_merging_keeps_what_is_inside_each_box_once(city, capsys):
     blocks("merge", city, city / "scene.ply")
     assert "of 2 blocks" in capsys.readouterr().out

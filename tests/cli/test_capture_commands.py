@@ -18,6 +18,7 @@ def photos(tmp_path_factory):
     return corner.write_photos(tmp_path_factory.mktemp("corner") / "photos")
 
 
+@pytest.mark.slow
 def test_photos_become_a_capture_that_is_sound_enough_to_train_on(photos, tmp_path, capsys):
     out = tmp_path / "capture"
     Image.new("RGB", corner.SIZE).save(photos / "black.png")

@@ -18,6 +18,7 @@ def train(scene, out, *options):
     return json.loads((out / "config.json").read_text()), json.loads((out / "metrics.json").read_text())
 
 
+@pytest.mark.slow
 def test_a_zip_of_blenders_photos_is_trained_scored_and_drawn_over_white(blender, tmp_path):
     scene = zipped(blender, tmp_path / "blender.zip")
     config, metrics = train(scene, tmp_path / "run")

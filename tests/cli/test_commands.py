@@ -215,6 +215,7 @@ def test_photos_that_differ_by_their_suffix_alone_have_a_picture_each(capture, t
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
     ["--init random --background white", "--backend reference --low-pass antialiasing --background white"],

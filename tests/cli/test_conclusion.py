@@ -108,6 +108,7 @@ def test_a_scene_without_report_and_checkpoint_is_not_called_finished(tmp_path, 
     assert "neither its report nor a checkpoint" in refused(capsys, "train", "--resume", tmp_path)
 
 
+@pytest.mark.slow
 def test_create_concludes_a_run_that_was_killed_while_its_results_were_written(
     capture, tmp_path, monkeypatch
 ):

@@ -17,6 +17,7 @@ def test_every_rasterizer_is_listed_with_its_state(capsys):
     assert "WRONG" not in printed
 
 
+@pytest.mark.slow
 def test_a_wrong_rasterizer_is_found_out(capsys, monkeypatch):
     right = portable.KERNELS.composite
 

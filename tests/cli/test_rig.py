@@ -36,6 +36,7 @@ def run(arm, tmp_path_factory):
     return out
 
 
+@pytest.mark.slow
 def test_a_run_holds_the_scene_its_poses_and_its_scores(run, arm):
     scores = json.loads((run / "metrics.json").read_text())
     assert set(scores["photos"]["test"]) == {"pose3-0.png", "pose3-1.png"}

@@ -96,6 +96,7 @@ def test_a_damaged_scale_is_refused_with_the_file(scene):
         sensors.load_in_metres(scene)
 
 
+@pytest.mark.slow
 def test_label_images_split_a_scene_into_named_parts_and_held_out_ones_measure_it(capture, capsys):
     (capture / "labels" / "labels.txt").write_text("nothing\nleft\nright\n")
     (capture / "labels" / "slip.png").write_bytes(b"of no photo")

@@ -42,7 +42,7 @@ COMPOSED = (  # by JAX, of derivatives that other tests hold to the reference
 
 def pytest_collection_modifyitems(config, items):
     """Marks what runs on a build of the native library that this machine would not choose by itself, and
-    what repeats, with long compilations, what other cases of a contract have shown. Leaves out what the
+    what is left to `make slow`. Leaves out what the
     instruction set of a build cannot change: doors, names of outputs, and rules of transformations."""
     best = None if library.why_unavailable(None) else f"cpu-{library.best_instructions()}"
     others = {f"cpu-{instructions}" for instructions in library.INSTRUCTIONS} - {best}
@@ -56,7 +56,7 @@ def pytest_collection_modifyitems(config, items):
             module = item.module.__name__.rpartition(".")[2]
             if module not in WHAT_A_BUILD_CHANGES and item.originalname not in IN_OTHER_MODULES:
                 left_out.add(item)
-        if repeats(item.module.__name__, parameters):
+        if left_to_slow(item):
             item.add_marker(pytest.mark.slow)
         if backend_of(parameters) == "xla" and parameters.get("channels", 5) not in (5, 17):
             left_out.add(item)  # the portable backend is one program for all widths
@@ -68,14 +68,36 @@ def pytest_collection_modifyitems(config, items):
     items[:] = [item for item in items if item not in left_out]
 
 
-def repeats(module, parameters):
-    """Whether `make slow` suffices for a case: the oracle under transformations of JAX; the emulated CUDA
-    backend under those that go through the derivatives of the portable backend."""
-    transformed = ("test_derivatives", "test_transformations")
-    if backend_of(parameters) == emulated.NAME:
-        return module.endswith(transformed)
-    others = ("test_outputs", "test_parts", "test_doors")
-    return backend_of(parameters) == "reference" and module.endswith((*transformed, *others))
+LONG_SUITES = (  # where XLA compiles for seconds in each case
+    "test_derivatives",
+    "test_transformations",
+    "test_outputs",
+    "test_parts",
+    "test_doors",
+    "test_slanted",
+)
+LONG_TESTS = (  # the same, in other suites
+    "test_pull_of_culled_rows_is_nothing",
+    "test_pull_equals_the_reference_and_leaves_the_other_gradients",
+    "test_pull_of_thousands_of_splats_in_one_tile",
+    "test_any_number_of_channels",
+    "test_thousands_of_splats_in_one_tile",
+    "test_one_splat_over_the_whole_image_among_small_ones",
+    "test_double_precision_equals_the_reference_to_its_rounding",
+    "test_pull_in_double_precision_equals_the_reference_to_its_rounding",
+    "test_a_number_that_is_not_finite_culls_its_gaussian_and_changes_no_gradient",
+    "test_a_picture_of_a_scene_with_broken_gaussians_has_finite_gradients",
+    "test_infinite_numbers_that_mean_something_are_drawn",
+)
+
+
+def left_to_slow(item):
+    """Whether `make slow` suffices for a case: the oracle, the portable backend and the emulated CUDA backend,
+    where XLA compiles for seconds. `make test` holds them to images, gradients and projections, and the native
+    kernels of this machine to everything."""
+    if backend_of(item.callspec.params) not in ("reference", "xla", emulated.NAME):
+        return False
+    return item.originalname in LONG_TESTS or item.module.__name__.endswith(LONG_SUITES)
 
 
 def backend_of(parameters):

@@ -159,6 +159,7 @@ def test_directions_of_one_view_in_one_call_give_what_each_gives(build, lens):
         assert_close([tangents[k] for tangents in together], one, 1e-6)
 
 
+@pytest.mark.slow
 def test_inputs_that_stay_have_no_part_in_the_tangents(build):
     gaussians, camera = point_of("opencv")
     still = jax.tree.map(jnp.zeros_like, (gaussians, camera))

@@ -116,16 +116,17 @@ def test_every_coefficient_moves_the_image_and_its_jacobian_as_finite_difference
             assert_allclose(found, expected, rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "motion", "method"),
     [
         # Each method with and without distortion and motion: lens, motion and method are differentiated
         # one after the other.
         ("opencv", "still", Ewa()),
-        pytest.param("opencv", "still", Unscented(), marks=pytest.mark.slow),
-        pytest.param("equirectangular", "still", Ewa(), marks=pytest.mark.slow),
-        pytest.param("pinhole", "rolling", Ewa(), marks=pytest.mark.slow),
-        pytest.param("fisheye", "rolling", Unscented(), marks=pytest.mark.slow),
+        ("opencv", "still", Unscented()),
+        ("equirectangular", "still", Ewa()),
+        ("pinhole", "rolling", Ewa()),
+        ("fisheye", "rolling", Unscented()),
     ],
 )
 def test_every_parameter_of_the_camera_matches_finite_differences(x64, name, motion, method):
@@ -353,6 +354,7 @@ def test_behind_the_pole_of_a_rational_distortion_nothing_is_seen(x64):
     assert seen == [True, True, False, False]
 
 
+@pytest.mark.slow
 def test_a_pixel_beyond_the_fold_looks_along_the_fold(x64):
     lens = lenses.opencv(-0.3, dtype="float64")  # the image ends at radius 0.703, of slope 1.054
     for radius in (0.71, 1.0, 5.0):

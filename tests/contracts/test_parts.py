@@ -42,6 +42,7 @@ def test_a_scene_of_parts_is_the_picture_of_its_baked_gaussians(backend):
         assert_allclose(getattr(drawn, name), getattr(baked, name), rtol=2e-3, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_a_camera_that_moves_during_the_exposure_sees_a_part_as_its_baked_gaussians():
     twist = jnp.array([0.02, -0.05, 0.03, 0.1, -0.05, 0.08])
     camera = replace(CAMERA, motion=RollingShutter(twist))
@@ -78,6 +79,7 @@ def test_interleaved_parts_are_drawn_in_one_order_of_depths():
     assert np.abs(one_after_another.rgb - whole.rgb).max() > 0.05  # the truth that the test can tell apart
 
 
+@pytest.mark.slow
 def test_a_small_part_is_culled_at_the_near_plane_of_the_world():
     """A part of scale 1/1000 at a depth of 1 is seen; one of scale 1000 is culled nearer than 0.01 only."""
     one = replace(jax.tree.map(lambda leaf: leaf[:1], BODY), means=jnp.zeros((1, 3)))
@@ -91,6 +93,7 @@ def test_a_small_part_is_culled_at_the_near_plane_of_the_world():
             assert (alpha.max() > 0.1) == drawn, (scale, depth)
 
 
+@pytest.mark.slow
 def test_poses_have_the_gradient_of_finite_differences():
     target = sx.render(scene(), CAMERA).rgb
     guess = Similarity.of(degrees=(25.0, -40.0, 125.0), scale=0.63, move=(0.45, -0.25, 0.5)).cast(jnp.float32)

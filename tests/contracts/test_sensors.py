@@ -92,6 +92,7 @@ def test_depth_along_the_ray_and_the_axis_points_and_labels_are_those_of_the_pla
     assert set(np.unique(found["labels"])) <= {-1, 0}
 
 
+@pytest.mark.slow
 def test_normals_are_unit_vectors_of_the_frame_that_is_asked_for(measured):
     camera, found, rtol = measured
     seen = np.linalg.norm(found["facing"], axis=-1) > 0
@@ -120,6 +121,7 @@ def test_a_lidar_measures_the_plane_along_every_ray_of_its_table_in_both_frames(
     assert_array_equal(scan.rows >= 0, met)
 
 
+@pytest.mark.slow
 def test_a_rig_measures_what_its_cameras_do_one_by_one_with_every_sensor():
     cameras = [PINHOLE, camera_at((-0.4, 0.1, -2.5), size=(24, 18))]
     rig = CameraRig.of(cameras, ("left", "right"))

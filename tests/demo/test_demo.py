@@ -22,6 +22,7 @@ def capture(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_the_capture_loads_as_any_other(capture):
     dataset = sx.load_dataset(capture)
     assert "24 of 24 photos registered" in dataset.notes
@@ -30,6 +31,7 @@ def test_the_capture_loads_as_any_other(capture):
     assert dataset.views[0].pixels().shape == (120, 160, 3)
 
 
+@pytest.mark.slow
 def test_points_have_the_colours_that_photos_show_there(capture):
     dataset = sx.load_dataset(capture)
     view = dataset.train[3]
@@ -46,6 +48,7 @@ def test_points_have_the_colours_that_photos_show_there(capture):
     assert np.median(difference) < 0.03
 
 
+@pytest.mark.slow
 def test_the_data_set_in_memory_is_the_capture_on_disk(capture):
     in_memory, on_disk = sx.demo_dataset(), sx.load_dataset(capture)
     assert [view.name for view in in_memory.test] == [view.name for view in on_disk.test]
@@ -107,6 +110,7 @@ def test_the_demo_reaches_35_db_on_views_it_has_not_seen(tmp_path):
     assert any((tmp_path / "cache" / "splatax" / "xla").iterdir())  # compiled programs are kept
 
 
+@pytest.mark.slow
 def test_the_truth_on_disk_is_that_of_the_ray_caster(capture):
     view, camera = sx.load_dataset(capture).views[3], STILL_LIFE.cameras()[3]
     on_disk, exact = view.truth(), truth(camera, STILL_LIFE)

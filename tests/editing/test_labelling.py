@@ -23,6 +23,7 @@ def seen(position):
     return camera, np.where(np.isnan(x), 0, np.where(x > 0, 2, 1)).astype(np.int32)
 
 
+@pytest.mark.slow
 def test_labels_of_two_photos_hold_in_a_third():
     votes = editing.votes(PLANE, [seen(place) for place in FROM["train"]], 3)
     labels = editing.labels_of(votes)

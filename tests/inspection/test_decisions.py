@@ -50,6 +50,7 @@ def test_even_photos_need_nothing(plain):
     assert not found.uneven
 
 
+@pytest.mark.slow
 def test_exposure_that_differs_is_measured_in_stops_whatever_the_photos_show(plain, tmp_path):
     stops = np.random.default_rng(0).normal(0, 0.25, PHOTOS)
     stops -= stops.mean()

@@ -56,6 +56,7 @@ def test_each_level_is_whole_and_each_cell_holds_its_own_gaussians(tmp_path, sma
         assert len(found) == len(expected)
 
 
+@pytest.mark.slow
 def test_the_scene_is_read_back_from_all_units_of_level_0(tmp_path, small_units):
     path = tmp_path / "lod-meta.json"
     sx.save(path, SCENE, coarser=editing.levels_of(SCENE, 2)[1:])

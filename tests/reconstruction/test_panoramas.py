@@ -151,6 +151,7 @@ def test_features_of_faces_are_observations_of_the_written_photos(kind, request)
     assert len(sides) == 6
 
 
+@pytest.mark.slow
 def test_faces_of_a_panorama_have_one_place_and_turn_by_exact_rotations(in_faces):
     out, result = in_faces
     dataset = sx.load_dataset(out)

@@ -35,6 +35,7 @@ def other(tmp_path):
     process.stdout.close()
 
 
+@pytest.mark.slow
 def test_a_folder_is_held_until_its_process_ends_whatever_ends_it(other, tmp_path):
     run = tmp_path / "run"
     with (

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from numpy.testing import assert_array_equal
 from PIL import Image
 
@@ -14,6 +15,7 @@ from splatax.training.camera_refinement import CAMERA_REFINEMENTS, refined
 from training.test_training import RECIPE, capture
 
 
+@pytest.mark.slow
 def test_the_motions_that_a_run_has_learned_are_read_with_its_cameras(tmp_path):
     dataset = capture()
     recipe = replace(RECIPE, steps=7, camera_refinement=CAMERA_REFINEMENTS["poses+shutter"])

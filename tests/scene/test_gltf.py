@@ -172,6 +172,7 @@ def moving_arms() -> AnimatedScene:
     )
 
 
+@pytest.mark.slow
 def test_parts_skins_and_clips_come_back_together_from_one_reader(tmp_path):
     animated, path = moving_arms(), tmp_path / "a.glb"
     blue = sx.scene.Option(colors={"arm": ColorMap.dye((0.0, 0.0, 1.0))})

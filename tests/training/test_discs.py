@@ -35,6 +35,7 @@ def cloud_of_discs():
     return replace(plane, means=plane.means + jnp.asarray(offsets, jnp.float32))
 
 
+@pytest.mark.slow
 def test_distortion_is_the_sum_over_pairs_of_discs():
     camera = camera_at((0.0, 0.0, -4.0), size=(9, 7), focal=10.0)
     facing = plane_of_gaussians(np.array([0.0, 0.0, -1.0]), n=3, half=0.1, sigma=3.0, flat=1e-12, opacity=0.6)
@@ -58,6 +59,7 @@ def test_distortion_is_the_sum_over_pairs_of_discs():
     assert_allclose(drawn["layers"].scatter, expected, rtol=1e-4, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_plane_of_discs_has_no_penalty_and_a_cloud_has_one():
     camera = camera_at((0.4, -0.3, -4.0), size=(24, 18), focal=30.0)
     plane, cloud = plane_of_gaussians(NORMAL, n=300, sigma=0.2, flat=1e-12), cloud_of_discs()

@@ -56,6 +56,7 @@ def test_one_layer_has_no_spread_and_is_consistent():
     assert_allclose(inconsistency(tilted, drawn.surface_depth, camera), 0.5, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_the_error_at_landmarks_counts_those_that_the_view_shows():
     depth = jnp.full((24, 32), 3.0)
     points = positions_of(CAMERA, 1.1 * depth).reshape(-1, 3)
@@ -171,6 +172,7 @@ def test_without_regularizers_only_colours_are_drawn():
     assert sorted(set(widths)) == [3, 9, 12]
 
 
+@pytest.mark.slow
 def test_training_with_surfaces_moves_the_drawn_depth_to_the_landmarks():
     dataset = capture()
     points = dataset.points.positions

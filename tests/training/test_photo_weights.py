@@ -26,6 +26,7 @@ def after(losses, epochs=4, weights=RobustWeights()):
     return weights.of_photos(state, len(losses), jnp.float32(0.9))
 
 
+@pytest.mark.slow
 def test_a_photo_far_above_the_others_counts_little_and_the_others_fully():
     losses = np.random.default_rng(0).uniform(0.8, 1.25, 15)
     losses[4] *= 8
@@ -34,6 +35,7 @@ def test_a_photo_far_above_the_others_counts_little_and_the_others_fully():
     assert_array_equal(np.delete(found, 4), 1)
 
 
+@pytest.mark.slow
 def test_photos_of_which_some_are_harder_count_alike():
     hard = np.concatenate([np.full(20, 1.0), np.full(4, 1.9), [2.2]])
     assert_array_equal(after(hard), 1)
@@ -73,6 +75,7 @@ def run():
     return recipe, stops, checkpoint.take(progress.state, {}, {}), progress.state.train.weights
 
 
+@pytest.mark.slow
 def test_a_wrong_photo_is_found_in_training(run):
     found = np.asarray(run[0].objective.weights.of_photos(run[3], 13, jnp.float32(1)))
     wrong = [view.name for view in spoiled().train].index(WRONG)

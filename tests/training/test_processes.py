@@ -32,6 +32,7 @@ def printed_by_two(body):
     return [[line for line in output.splitlines() if not line.startswith("[Gloo]")] for output in outputs]
 
 
+@pytest.mark.slow
 def test_processes_wait_for_what_process_0_broadcasts_and_for_what_all_gather():
     body = """
 if index == 0:
@@ -49,6 +50,7 @@ else:
     assert printed_by_two(body) == [[gathered], ["True", gathered, "b''"]]
 
 
+@pytest.mark.slow
 def test_a_process_that_exits_early_is_not_waited_for():
     body = """
 try:

@@ -64,6 +64,7 @@ def test_the_scene_is_drawn_with_the_filter_that_it_was_trained_with():
     assert last.gaussians.low_pass == sx.Antialiasing()
 
 
+@pytest.mark.slow
 def test_new_gaussians_follow_the_joints_of_their_parents_and_the_loss_falls():
     last, losses = trained()
     gaussians, rig = last.gaussians, last.rig

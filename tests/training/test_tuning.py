@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 import splatax as sx
 from splatax import editing
@@ -10,6 +11,7 @@ from splatax.training.recipes import default
 from splatax.training.tuning import tune, tuning
 
 
+@pytest.mark.slow
 def test_tuning_regains_what_simplifying_lost_and_keeps_number_and_original():
     dataset = sx.demo_dataset(photos=4, width=48, height=36)
     scene = sx.fit(dataset, default(steps=80, max_gaussians=3_000))

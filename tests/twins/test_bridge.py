@@ -91,6 +91,7 @@ def test_parts_of_a_scan_move_with_the_bodies_that_they_were_photographed_on(mod
         assert_allclose(twin[name].pose.translation, data.body(name).xpos, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_twin_measures_what_observe_measures_in_the_posed_scene_and_compiles_once(model, data, scene):
     twin = twins.Twin.of(model, data, scene, ["front"], (32, 24), SENSORS)
     found = twin.observe(data)

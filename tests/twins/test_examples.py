@@ -10,6 +10,7 @@ pytest.importorskip("mujoco")
 DOCS = Path(__file__).parents[2] / "docs"
 
 
+@pytest.mark.slow
 def test_a_controller_that_sees_pictures_alone_brings_the_arm_near_its_goal():
     example = runpy.run_path(str(DOCS / "servo_twin.py"))
     first, *_, last = example["servo"](size=32, count=500, steps=12)

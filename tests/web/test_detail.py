@@ -66,6 +66,7 @@ def test_a_page_of_at_most_the_threshold_holds_its_scene_only(tmp_path, stub):
     assert html == web.document(SCENE, title="small", cameras=CAMERAS)
 
 
+@pytest.mark.slow
 def test_previews_of_parts_share_their_gaussians_in_proportion_and_tiny_parts_have_none(
     tmp_path, stub, monkeypatch
 ):

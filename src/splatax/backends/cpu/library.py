@@ -1,7 +1,8 @@
 """Loads the native library (C++, in `native/cpu/` of the repository) and calls it from JAX.
 
-There is a build for each instruction set beside this file. The builds do not depend on Python or on other
-libraries: XLA calls them as foreign functions.
+There is a build for each instruction set beside this file, or only one for this machine, and a small library that
+tells which of them is the best here. They do not depend on Python or on other libraries: XLA calls them as foreign
+functions.
 """
 
 import ctypes
@@ -21,6 +22,7 @@ from splatax.backends import foreign
 FOLDER = Path(__file__).parent
 SUFFIX = {"Darwin": ".dylib", "Windows": ".dll"}.get(platform.system(), ".so")
 INSTRUCTIONS = ("avx512", "avx2", "baseline")  # fastest first; a machine that runs one runs those after it
+CHOICE = "instructions"  # the library that knows the best of them
 ALL_THREADS = 0
 
 
@@ -72,7 +74,7 @@ def why_unavailable(instructions: str | None) -> str | None:
     """
     if jax.default_backend() != "cpu":
         return f"it runs on CPUs, and JAX runs on {jax.default_backend()} here"
-    if not library_path("baseline").exists():
+    if not library_path(CHOICE).exists():
         return (
             "this installation has no native library, because it could not be built; install a C++ "
             "compiler, then splatax again"
@@ -115,19 +117,19 @@ def register(instructions: str, symbol: str) -> str:
 
 
 @cache
-def library(instructions: str) -> ctypes.CDLL:
-    """Loads a build."""
-    return ctypes.CDLL(str(library_path(instructions)))
+def library(name: str) -> ctypes.CDLL:
+    """Loads a build, or the library that knows the best instruction set."""
+    return ctypes.CDLL(str(library_path(name)))
 
 
-def library_path(instructions: str) -> Path:
-    """Returns the path of a build."""
-    return FOLDER / f"libsplatax_{instructions}{SUFFIX}"
+def library_path(name: str) -> Path:
+    """Returns the path of a library."""
+    return FOLDER / f"libsplatax_{name}{SUFFIX}"
 
 
 @cache
 def best_instructions() -> str:
     """Returns the fastest instruction set that this machine has."""
-    function = library("baseline").splatax_best_instructions
+    function = library(CHOICE).splatax_best_instructions
     function.restype = ctypes.c_char_p
     return function().decode()

@@ -92,9 +92,9 @@ LONG_TESTS = (  # the same, in other suites
 
 
 def left_to_slow(item):
-    """Whether `make slow` suffices for a case: the oracle, the portable backend and the emulated CUDA backend,
-    where XLA compiles for seconds. `make test` holds them to images, gradients and projections, and the native
-    kernels of this machine to everything."""
+    """Whether `make slow` suffices for a case: the oracle, the portable backend and the emulated CUDA
+    backend, where XLA compiles for seconds. `make test` holds them to images, gradients and projections, and
+    the native kernels of this machine to everything."""
     if backend_of(item.callspec.params) not in ("reference", "xla", emulated.NAME):
         return False
     return item.originalname in LONG_TESTS or item.module.__name__.endswith(LONG_SUITES)

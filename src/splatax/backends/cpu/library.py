@@ -1,8 +1,8 @@
 """Loads the native library (C++, in `native/cpu/` of the repository) and calls it from JAX.
 
-There is a build for each instruction set beside this file, or only one for this machine, and a small library that
-tells which of them is the best here. They do not depend on Python or on other libraries: XLA calls them as foreign
-functions.
+Beside this file there is a build for each instruction set, or the one for this machine alone, and a small
+library that tells which instruction set is the best here. They do not depend on Python or on other libraries:
+XLA calls them as foreign functions.
 """
 
 import ctypes

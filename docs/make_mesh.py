@@ -23,7 +23,7 @@ from splatax.demo.raycast import truth
 from splatax.demo.scene import Scene
 from splatax.demo.scenes import DEFAULT, scene_named
 from splatax.demo.shapes import Cylinder
-from splatax.geometry_scores import best_depth
+from splatax.geometry_scores import DEPTH, best_depth
 from splatax.mesh.comparison import TOLERANCE, places_on, points_on
 from splatax.mesh.views import DepthView, Picture
 from splatax.surfaces import positions_of
@@ -51,7 +51,7 @@ def main(name: str, capture: Path, runs: list[Path]) -> None:
     found = {"exact depth": mesh.extract(exact)}
     for run in runs:
         gaussians = sx.load(run / "scene.ply")
-        best = best_depth(gaussians, dataset.train)
+        best = best_depth(gaussians, dataset.train) or DEPTH
         for depth in dict.fromkeys((best, *SURFACE_DEPTHS)):
             views = [near(view, far) for view in mesh.depth_views(gaussians, cameras, depth=depth)]
             title = f"{run.name} | {depth}{' (`auto`)' if depth == best else ''}"

@@ -14,6 +14,7 @@ from splatax.gaussians import Gaussians
 from splatax.rendering import Renderer
 
 DEPTH = "median_depth"  # which meshes are made from if there is nothing to choose the best by
+ROBUST_DEPTH = "median_surface_depth"  # the best or close to it in scenes of all recipes: docs/geometry.md
 OF_PLANES = ("surface_depth", "median_surface_depth")
 DEPTHS = (DEPTH, *OF_PLANES)  # outputs that are compared
 NORMALS = "normals"
@@ -109,16 +110,16 @@ class GeometryScores:
         return min(OF_PLANES, key=lambda output: np.nan_to_num(errors[output].capped, nan=np.inf))
 
 
-def best_depth(gaussians: Gaussians, views: Sequence[View], renderer: Renderer = Renderer()) -> str:
-    """Returns the output whose depth agrees best with the landmarks of some views.
+def best_depth(gaussians: Gaussians, views: Sequence[View], renderer: Renderer = Renderer()) -> str | None:
+    """Returns the output whose depth agrees best with the landmarks of some views; None if they have none.
 
-    It is "median_depth" if there are no landmarks. Scenes that were trained only on colours have the best
-    depth in "median_depth"; those that were trained for surfaces have it in the depths of surfaces:
-    "median_surface_depth" if they have thin parts or many edges, else "surface_depth".
+    Scenes that were trained only on colours have the best depth in "median_depth"; those that were trained
+    for surfaces have it in the depths of surfaces: "median_surface_depth" if they have thin parts or many
+    edges, else "surface_depth".
     """
     chosen = views[:: -(-len(views) // ENOUGH) or 1]
     scores = against_landmarks(gaussians, chosen, renderer)
-    return scores.best if scores else DEPTH
+    return scores.best if scores else None
 
 
 def evaluate_geometry(

@@ -1,6 +1,9 @@
 import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
 
+import splatax as sx
 from captures import write_capture
 from splatax import cli
 
@@ -32,3 +35,21 @@ def trained(capture, tmp_path_factory):
         patch.setattr(cli, "keep_compiled_programs", lambda: None)
         cli.main(["train", str(capture), "--out", str(out), "--steps", "6", "--eval-every", "3"])
     return out
+
+
+@pytest.fixture(scope="package")
+def wall(tmp_path_factory):
+    """The splat file of a wall at z = 5, which fills every view, and a capture with points on both sides."""
+    folder = tmp_path_factory.mktemp("wall")
+    capture = write_capture(folder / "capture", count=5)
+    x, y = (v.ravel() for v in np.meshgrid(np.linspace(-6, 6, 41), np.linspace(-6, 6, 41)))
+    n = len(x)
+    scene = sx.Gaussians(
+        means=jnp.asarray(np.stack([x, y, np.full(n, 5.0)], axis=1), jnp.float32),
+        log_scales=jnp.broadcast_to(jnp.log(jnp.array([0.25, 0.25, 1e-3])), (n, 3)),
+        quats=jnp.broadcast_to(jnp.array([1.0, 0, 0, 0]), (n, 4)),
+        opacity_logits=jnp.full(n, 4.0),
+        sh=jnp.zeros((n, 1, 3)),
+    )
+    sx.save(folder / "wall.ply", scene)
+    return folder / "wall.ply", capture

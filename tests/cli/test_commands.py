@@ -170,13 +170,13 @@ def test_eval_scores_adjusted_poses_beside_the_given_ones(trained, capture, tmp_
 
 def test_render_writes_colour_and_depth_of_the_split(trained, capture, tmp_path):
     out = tmp_path / "pictures"
-    cli.main(["render", str(trained), str(capture), "--out", str(out)])
+    cli.main(["render", str(trained), str(capture), "--out", str(out), "--depth", "median_depth"])
     assert sorted(path.name for path in (out / "rgb").iterdir()) == list(SPLIT)
     gaussians, view = sx.load(trained / "scene.ply"), sx.load_dataset(capture).test[0]
-    drawn = sx.render(gaussians, view.camera)
+    drawn = sx.render(gaussians, view.camera, outputs=("rgb", "median_depth"))
     expected = np.round(255 * np.clip(np.asarray(drawn.rgb), 0, 1))
     assert_array_equal(np.asarray(Image.open(out / "rgb" / SPLIT[0])), expected)
-    assert_array_equal(np.load(out / "depth" / "photo04.npy"), drawn.depth)
+    assert_array_equal(np.load(out / "depth" / "photo04.npy"), drawn.median_depth)
     assert Image.open(out / "depth" / SPLIT[0]).size == (64, 48)
 
 

@@ -16,11 +16,12 @@ from splatax.metrics import to_8bit
 CAPTURE_SIZE = (64, 48)
 
 
-def film(trained, out, *options):
+def film(scene, out, *options):
+    """Writes a video. The scene is a model, which may be followed by its capture."""
     cli.main(
         [
             "render",
-            str(trained),
+            *(str(path) for path in scene),
             "--path",
             "interpolate",
             "--fps",
@@ -36,7 +37,7 @@ def film(trained, out, *options):
 
 
 def test_a_folder_of_frames_shows_what_the_cameras_of_the_path_see(trained, capture, tmp_path):
-    out = film(trained, tmp_path / "frames")
+    out = film((trained,), tmp_path / "frames")
     assert [path.name for path in sorted(out.iterdir())] == [f"frame{i:05}.png" for i in range(4)]
     cameras = [view.camera for view in sx.load_dataset(capture).views]
     expected = [
@@ -48,7 +49,7 @@ def test_a_folder_of_frames_shows_what_the_cameras_of_the_path_see(trained, capt
 
 
 def test_a_gif_lasts_as_long_as_asked(trained, tmp_path):
-    with Image.open(film(trained, tmp_path / "film.gif", "--size", "33x21")) as picture:
+    with Image.open(film((trained,), tmp_path / "film.gif", "--size", "33x21")) as picture:
         assert picture.size == (33, 21)
         durations = []
         for i in range(picture.n_frames):
@@ -75,30 +76,36 @@ def test_a_film_has_its_size_its_frames_and_its_colours(suffix, codec, tmp_path)
     assert np.abs(frames[3].astype(int) - color).max() <= 4  # limited range and 4:2:0 round
 
 
-def test_depth_stands_beside_colour_in_colours_that_stay(trained, tmp_path):
-    plain, both = film(trained, tmp_path / "plain"), film(trained, tmp_path / "both", "--depth")
+def test_depth_stands_beside_colour_in_colours_that_stay_and_normals_beside_it(wall, tmp_path, capsys):
+    plain = film(wall, tmp_path / "plain")
+    assert "depth   " not in capsys.readouterr().out
+    wide = film(wall, tmp_path / "wide", "--depth", "surface_depth", "--normals")
+    assert "depth   surface_depth\n" in capsys.readouterr().out
     for path in sorted(plain.iterdir()):
-        colour, pair = np.asarray(Image.open(path)), np.asarray(Image.open(both / path.name))
-        assert pair.shape == (48, 128, 3)
-        assert_array_equal(pair[:, :64], colour)
-        assert pair[:, 64:].any()
+        colour, frame = np.asarray(Image.open(path)), np.asarray(Image.open(wide / path.name))
+        assert frame.shape == (48, 192, 3)
+        assert_array_equal(frame[:, :64], colour)
+        assert frame[:, 64:128].any()
+        facing = frame[:, 128:].astype(int) - [128, 128, 255]  # the cameras turn by at most 0.2 radians
+        assert np.abs(facing).max() <= 0.2 * 128 + 1  # levels are rounded
 
 
-def test_keyframes_and_orbits_need_no_capture(trained, tmp_path):
+def test_keyframes_and_orbits_need_no_capture(trained, tmp_path, capsys):
     sx.save(tmp_path / "scene.ply", sx.load(trained / "scene.ply"))
     path = tmp_path / "path.json"
     path.write_text(json.dumps({"keyframes": [{"position": [0, 0, -4], "wxyz": [1, 0, 0, 0], "fov": 50}]}))
     for shape in ("orbit", str(path)):
-        options = f"--path {shape} --size 40x30 --fps 2 --seconds 1 --overwrite --out".split()
+        options = f"--path {shape} --size 40x30 --fps 2 --seconds 1 --depth auto --overwrite --out".split()
         cli.main(["render", str(tmp_path / "scene.ply"), *options, str(tmp_path / "frames")])
-        assert Image.open(tmp_path / "frames" / "frame00001.png").size == (40, 30)
+        assert Image.open(tmp_path / "frames" / "frame00001.png").size == (80, 30)
+        assert "median_surface_depth: the default, because there is no capture" in capsys.readouterr().out
 
 
 def test_a_film_is_not_replaced_unless_told(trained, tmp_path, capsys):
     for out in (tmp_path / "frames", tmp_path / "film.gif"):
-        film(trained, out)
+        film((trained,), out)
         assert "--overwrite" in refused(capsys, "render", trained, "--path", "interpolate", "--out", out)
-        film(trained, out, "--overwrite")
+        film((trained,), out, "--overwrite")
 
 
 @pytest.mark.parametrize(

@@ -1,33 +1,12 @@
 """`splatax mesh`, from a run to a file."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
 
-import captures
-import splatax as sx
 from splatax.cli import main
 
 REFUSED = 2
-
-
-@pytest.fixture(scope="module")
-def wall(tmp_path_factory):
-    """A capture, and the splat file of a wall behind its points, which all cameras see."""
-    folder = tmp_path_factory.mktemp("wall")
-    capture = captures.write_capture(folder / "capture", count=5)
-    x, y = (v.ravel() for v in np.meshgrid(np.linspace(-6, 6, 41), np.linspace(-6, 6, 41)))
-    n = len(x)
-    scene = sx.Gaussians(
-        means=jnp.asarray(np.stack([x, y, np.full(n, 5.0)], axis=1), jnp.float32),
-        log_scales=jnp.broadcast_to(jnp.log(jnp.array([0.25, 0.25, 1e-3])), (n, 3)),
-        quats=jnp.broadcast_to(jnp.array([1.0, 0, 0, 0]), (n, 4)),
-        opacity_logits=jnp.full(n, 4.0),
-        sh=jnp.zeros((n, 1, 3)),
-    )
-    sx.save(folder / "wall.ply", scene)
-    return folder / "wall.ply", capture
 
 
 def refused(capsys, *arguments):

@@ -4,17 +4,28 @@ import base64
 import io
 import re
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 from PIL import Image, ImageSequence
 
+import splatax as sx
 from report.galleries import gallery_of
 from splatax.evaluation import Scores, ViewScore
 from splatax.report.curves import smoothed, training_curves
 from splatax.report.gallery import Gallery
 from splatax.report.page import Account, report
-from splatax.report.pictures import LABEL_HEIGHT, LARGEST_ERROR, animation, data_uri, depth_map, error_map
+from splatax.report.pictures import (
+    LABEL_HEIGHT,
+    LARGEST_ERROR,
+    animation,
+    data_uri,
+    depth_map,
+    depth_range,
+    error_map,
+    normal_map,
+)
 from splatax.runs.history import Evaluation, History
 from splatax.runs.results import Comparison
 
@@ -38,6 +49,19 @@ def test_near_is_bright_and_nothing_is_black():
     assert shades[0, 0] > shades[3, 0] > shades[5, 7]
     assert_array_equal(shades[2], 0)
     assert_array_equal(depth_map(depth, np.zeros_like(depth)), 0)
+    unknown = np.where(depth > 8, 0, depth)
+    assert_array_equal(depth_map(unknown, np.ones_like(depth))[unknown == 0], 0)
+    assert depth_range(unknown, np.ones_like(depth))[0] > 1
+
+
+def test_normals_are_red_to_the_right_green_up_and_blue_towards_the_camera():
+    right, down, forward = [0, 1, 0], [0, 0, -1], [-1, 0, 0]  # axes of the camera in the world
+    pose = jnp.eye(4).at[:3, :3].set(jnp.array([right, down, forward], jnp.float32))
+    camera = sx.Camera.simple_pinhole(5.0, pose, 4, 1)
+    normals = np.float32([[[0, 1, 0], [0, 0, 1], [1, 0, 0], [1, 0, 0]]])
+    shown = normal_map(normals, np.float32([[1, 1, 1, 0.5]]), camera)
+    assert_array_equal(shown[0], [[255, 128, 128], [128, 255, 128], [128, 128, 255], [0, 0, 0]])
+    assert_array_equal(normal_map(0 * normals, np.ones((1, 4), np.float32), camera), 0)
 
 
 def test_animation_shows_all_frames_and_rests_on_the_last():

@@ -11,6 +11,7 @@ from rich.progress import track
 
 import splatax as sx
 from splatax import mesh
+from splatax.cli.depths import DepthName, chosen_depth
 from splatax.cli.options import (
     BackendName,
     BackgroundOption,
@@ -26,7 +27,7 @@ from splatax.cli.options import (
 )
 from splatax.cli.output import say
 from splatax.errors import InputError
-from splatax.geometry_scores import DEPTHS, best_depth
+from splatax.geometry_scores import DEPTH
 from splatax.mesh.extraction import check
 from splatax.mesh.files import suffix_of
 
@@ -50,7 +51,7 @@ class Mesh:
     """Width of a voxel in world units: smaller details are lost. "auto", the default: the median width of a
     pixel on the surface or, if it is larger, the median difference between the depths that neighbouring
     cameras see."""
-    depth: Annotated[Literal["auto", *DEPTHS], shown_as()] = "auto"  # type: ignore[valid-type]
+    depth: Annotated[DepthName, shown_as()] = "auto"
     """Depth output of the scene to fuse. "auto", the default: the one that agrees best with the capture's
     own points, also on thin parts."""
     faces: Annotated[int | None, shown_as("N")] = None
@@ -83,8 +84,7 @@ class Mesh:
         train = load_scene(scene, self.downscale, model).train
         background = background_of(model.options, self.background)
         renderer = sx.Renderer(background, backend=resolve_backend(self.backend))
-        depth = best_depth(model.gaussians, train, renderer) if self.depth == "auto" else self.depth
-        say(f"depth   {depth}")
+        depth = chosen_depth(self.depth, model.gaussians, train, renderer, otherwise=DEPTH)
         cameras = [view.camera for view in train]
         views = mesh.depth_views(model.gaussians, cameras, renderer=renderer, depth=depth)
         if voxel is None:

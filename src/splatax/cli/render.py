@@ -1,18 +1,20 @@
-"""`splatax render`: images and depth of a scene from the cameras of its capture, or a video."""
+"""`splatax render`: images, depth and normals of a scene from the cameras of its capture, or a video."""
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
 import numpy as np
 import tyro
+from jaxtyping import Float
 from rich.progress import track
 
 import splatax as sx
+from splatax.cli.depths import DepthName, chosen_depth
 from splatax.cli.evaluate import views_of
-from splatax.cli.film import SHAPES, Film
+from splatax.cli.film import Film, VideoOptions
 from splatax.cli.options import (
     BackendName,
     BackgroundOption,
@@ -22,7 +24,6 @@ from splatax.cli.options import (
     Split,
     background_of,
     load_scene,
-    parse_size,
     read_model,
     resolve_backend,
     scene_of,
@@ -30,11 +31,11 @@ from splatax.cli.options import (
 )
 from splatax.cli.output import say
 from splatax.errors import InputError
-from splatax.io import video
+from splatax.geometry_scores import NORMALS, ROBUST_DEPTH
 from splatax.io.files import path_inside, replacing
 from splatax.io.images import write
 from splatax.metrics import to_8bit
-from splatax.report.pictures import depth_map
+from splatax.report.pictures import depth_map, normal_map
 from splatax.runs.claim import claimed
 
 
@@ -42,8 +43,10 @@ from splatax.runs.claim import claimed
 class Render:
     """Render images from the capture's cameras or, with --path, a video.
 
-    Images: writes rgb/NAME.png, depth/NAME.npy (float32, world units along the optical axis, 0 where the
-    scene is empty) and depth/NAME.png, the depth in colours.
+    Images: writes rgb/NAME.png, depth/NAME.npy (float32, world units along the optical axis, or from the
+    camera for fisheyes and panoramas; 0 where the scene is empty) and depth/NAME.png, the depth in colours.
+    With --normals also normals/NAME.npy (float32, unit vectors in the world, towards the camera; 0 where the
+    scene is empty) and normals/NAME.png, where red points right, green up and blue towards the camera.
     """
 
     model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")]
@@ -53,17 +56,12 @@ class Render:
     keyframe file."""
     out: Annotated[Path, tyro.conf.arg(metavar="PATH")] = field(kw_only=True)
     """Output folder; for videos also a file: .mp4, .webm or .gif."""
-    path: Annotated[str | None, shown_as("{orbit,spiral,interpolate,FILE}")] = None
-    """Video: camera path. "orbit": around the point that the cameras look at; "spiral": for forward-facing
-    captures; "interpolate": through the cameras; or a .json file of keyframes."""
-    size: Annotated[str | None, shown_as("WIDTHxHEIGHT")] = None
-    """Video: size in pixels. By default that of the photos, else 960x540."""
-    fps: Annotated[int | None, shown_as("N")] = None
-    """Video: frames per second. By default 30."""
-    seconds: Annotated[float | None, shown_as("SECONDS")] = None
-    """Video: duration. By default 10."""
-    depth: Annotated[bool, shown_as()] = False
-    """Video: show depth beside colour."""
+    depth: Annotated[DepthName | None, shown_as()] = None
+    """Depth output. Images: the one to write, by default "auto". Videos: the one to show to the right of the
+    colours, by default none. "auto": the one that agrees best with the known points of the training photos
+    or, if there are none, median_surface_depth."""
+    normals: Annotated[bool, shown_as()] = False
+    """Images: write normals too. Videos: show them on the right."""
     split: Split = "test"
     """Images: cameras to render from. "test": those of the photos that were held out from training."""
     downscale: DownscaleOption = None
@@ -77,53 +75,47 @@ class Render:
     """Rendering backend. If the named one is unavailable, the command fails."""
     overwrite: OverwriteFlag = False
     """Replace the output of an earlier call."""
+    video: VideoOptions = VideoOptions()
 
     def run(self) -> None:
-        film = self._film()
+        film = self.video.film(self.out)
         model = read_model(self.model, self.low_pass)
         scene = self.scene or scene_of(model)
         dataset = load_scene(scene, self.downscale, model) if scene else None
         background = background_of(model.options, self.background)
+        renderer = sx.Renderer(background, backend=resolve_backend(self.backend))
+        train = dataset.train if dataset else ()
         if film:
-            self._refuse_to_replace(film=True)
-            film = replace(film, background=background, backend=resolve_backend(self.backend))
+            self._refuse_to_replace(film)
             cameras = film.cameras(model, dataset)
-            film.write(self.out, model, cameras)
+            beside = self._further_outputs(self.depth, model.gaussians, train, renderer)
+            film.write(self.out, model.gaussians, cameras, renderer, beside)
             say(f"{len(cameras)} frames in {self.out}")
             return
         if dataset is None or scene is None:
             raise InputError(f"{self.model}: needs cameras: give the capture folder, or use --path.")
-        renderer = sx.Renderer(background, backend=resolve_backend(self.backend))
         views = views_of(dataset, self.split, scene)
-        self._refuse_to_replace(film=False)
+        self._refuse_to_replace(film)
         files = files_of(views, self.out)
+        further = self._further_outputs(self.depth or "auto", model.gaussians, train, renderer)
         with claimed(self.out):
             for view, paths in zip(track(views, description="rendering"), files, strict=True):
-                _save(paths, renderer(model.gaussians, view.camera))
+                drawn = renderer(model.gaussians, view.camera, ("rgb", "alpha", *further))
+                _save(paths, drawn, further, view.camera)
         say(f"{len(views)} views in {self.out}")
 
-    def _film(self) -> Film | None:
-        """Returns the video that the options describe; None if they ask for images.
+    def _further_outputs(
+        self,
+        depth: DepthName | None,
+        gaussians: sx.Gaussians,
+        train: Sequence[sx.View],
+        renderer: sx.Renderer,
+    ) -> tuple[str, ...]:
+        """Returns the names of the outputs besides colour: depth, normals, both or neither."""
+        outputs = [chosen_depth(depth, gaussians, train, renderer, otherwise=ROBUST_DEPTH)] if depth else []
+        return (*outputs, NORMALS) if self.normals else tuple(outputs)
 
-        Raises:
-            InputError: if they are out of range, or do not go together.
-        """
-        for name in ("fps", "seconds"):
-            value = getattr(self, name)
-            if value is not None and not value > 0:
-                raise InputError(f"--{name}: more than 0, not {value}.")
-        size = parse_size("--size", self.size) if self.size else None
-        if self.path is None:
-            given = [name for name in ("size", "fps", "seconds", "depth") if getattr(self, name)]
-            if given or self.out.suffix.lower() in video.SUFFIXES:
-                what = f"--{given[0]}" if given else self.out
-                raise InputError(f"{what}: only for videos. Choose a camera path, for example --path orbit.")
-            return None
-        path = self.path if self.path in SHAPES else Path(self.path)
-        fps = 30 if self.fps is None else self.fps
-        return Film(path, size, fps, 10.0 if self.seconds is None else self.seconds, self.depth)
-
-    def _refuse_to_replace(self, film: bool) -> None:
+    def _refuse_to_replace(self, film: Film | None) -> None:
         """Raises InputError if the output exists already."""
         taken = self.out / "rgb"
         if film:
@@ -138,6 +130,8 @@ class Files(NamedTuple):
     color: Path
     depth: Path  # numbers
     depth_map: Path  # the same to look at
+    normals: Path  # numbers
+    normal_map: Path  # the same to look at
 
 
 def files_of(views: Sequence[sx.View], out: Path) -> "list[Files]":
@@ -148,25 +142,32 @@ def files_of(views: Sequence[sx.View], out: Path) -> "list[Files]":
     Raises:
         InputError: if a view's name leads out of the output folder.
     """
-    colors = [path_inside(out / "rgb", view.name) for view in views]
-    depths = [path_inside(out / "depth", view.name) for view in views]
-    count = Counter(color.with_suffix("") for color in colors)
+    count = Counter(path_inside(out / "rgb", view.name).with_suffix("") for view in views)
 
-    def renamed(path: Path, suffix: str, color: Path) -> Path:
-        single = count[color.with_suffix("")] == 1
+    def file(folder: str, suffix: str, view: sx.View) -> Path:
+        path = path_inside(out / folder, view.name)
+        single = count[path_inside(out / "rgb", view.name).with_suffix("")] == 1
         return path.with_suffix(suffix) if single else path.with_name(path.name + suffix)
 
-    return [
-        Files(renamed(color, ".png", color), renamed(depth, ".npy", color), renamed(depth, ".png", color))
-        for color, depth in zip(colors, depths, strict=True)
-    ]
+    kinds = (("rgb", ".png"), ("depth", ".npy"), ("depth", ".png"), ("normals", ".npy"), ("normals", ".png"))
+    return [Files(*(file(folder, suffix, view) for folder, suffix in kinds)) for view in views]
 
 
-def _save(paths: Files, drawn: sx.Rendering) -> None:
-    for path in paths:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    depth = np.asarray(drawn.depth)
+def _save(paths: Files, drawn: sx.Rendering, further: Sequence[str], camera: sx.Camera) -> None:
+    alpha = np.asarray(drawn.alpha)
+    paths.color.parent.mkdir(parents=True, exist_ok=True)
     write(paths.color, to_8bit(np.asarray(drawn.rgb)))
-    write(paths.depth_map, depth_map(depth, np.asarray(drawn.alpha)))
-    with replacing(paths.depth) as file:
-        np.lib.format.write_array(file, depth, allow_pickle=False)
+    for name in further:
+        values = np.asarray(drawn.images[name])
+        if name == NORMALS:
+            _save_numbers(paths.normals, values)
+            write(paths.normal_map, normal_map(values, alpha, camera))
+        else:
+            _save_numbers(paths.depth, values)
+            write(paths.depth_map, depth_map(values, alpha))
+
+
+def _save_numbers(path: Path, values: Float[np.ndarray, "..."]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as file:
+        np.lib.format.write_array(file, values, allow_pickle=False)

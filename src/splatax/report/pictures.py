@@ -1,4 +1,4 @@
-"""Pictures for reports: error maps, coloured depth, and the animation of a run."""
+"""Pictures for reports: error maps, depth and normals as colours, and the animation of a run."""
 
 import base64
 import io
@@ -9,7 +9,9 @@ import numpy as np
 from jaxtyping import Float
 from PIL import Image, ImageDraw
 
+from splatax.cameras import Camera
 from splatax.dataset import Mask
+from splatax.metrics import to_8bit
 from splatax.runs.history import Picture, shrunk
 
 LARGEST_ERROR = 0.25  # of full scale: where the colours of error maps end
@@ -36,11 +38,14 @@ def depth_map(depth: Float[np.ndarray, "h w"], alpha: Float[np.ndarray, "h w"]) 
 def depth_range(
     depth: Float[np.ndarray, "..."], alpha: Float[np.ndarray, "..."]
 ) -> tuple[float, float] | None:
-    """Returns the 2nd and 98th percentiles of depth where alpha is above 0.5; None if it is nowhere."""
-    covered = depth[alpha > 0.5]
-    if not covered.size:
+    """Returns the 2nd and 98th percentiles of depth where alpha is above 0.5; None if it is nowhere.
+
+    Depths of 0 are unknown, and do not count.
+    """
+    known = depth[(alpha > 0.5) & (depth > 0)]
+    if not known.size:
         return None
-    near, far = np.percentile(covered, [2, 98])
+    near, far = np.percentile(known, [2, 98])
     return float(near), float(far)
 
 
@@ -52,7 +57,27 @@ def shaded(
         return np.zeros((*depth.shape, 3), np.uint8)
     near, far = limits
     shades = 1 - (depth - near) / max(far - near, 1e-12)
-    return np.where((alpha > 0.5)[..., None], colored(shades, "viridis"), 0).astype(np.uint8)
+    known = (alpha > 0.5) & (depth > 0)
+    return np.where(known[..., None], colored(shades, "viridis"), 0).astype(np.uint8)
+
+
+def normal_map(
+    normals: Float[np.ndarray, "h w 3"], alpha: Float[np.ndarray, "h w"], camera: Camera
+) -> Picture:
+    """Returns normals as colours, in the axes of a camera; black where it is empty.
+
+    A component n has the value 255 (0.5 + 0.5 n): red for right, green for up and blue for towards the
+    camera. A surface that faces the camera is light blue, as in a normal map of OpenGL.
+
+    Args:
+        normals: unit vectors in the world; 0 where they are unknown.
+        alpha: coverage of the pixels.
+        camera: camera of the view.
+    """
+    right, down, forward = np.asarray(camera.rotation)
+    turned = normals @ np.stack([right, -down, -forward], axis=1)
+    known = (alpha > 0.5) & (normals != 0).any(axis=2)
+    return np.where(known[..., None], to_8bit(0.5 + 0.5 * turned), 0).astype(np.uint8)
 
 
 def colored(values: Float[np.ndarray, "h w"], colormap: str) -> Picture:

@@ -1,4 +1,4 @@
-"""Pictures of the live viewer: colour, depth or alpha of the scene, or of its part inside a box."""
+"""Pictures of the live viewer: colour, depth, normals or alpha of a scene, or of its part inside a box."""
 
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -10,12 +10,15 @@ from jaxtyping import Array, Float, UInt8
 
 from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
+from splatax.geometry_scores import NORMALS, ROBUST_DEPTH
+from splatax.low_pass import AlongRays
 from splatax.metrics import to_8bit
 from splatax.rendering import Renderer
-from splatax.report.pictures import depth_map
+from splatax.report.pictures import depth_map, normal_map
 
-Mode = Literal["colour", "depth", "alpha"]
-MODES: tuple[Mode, ...] = ("colour", "depth", "alpha")
+Mode = Literal["colour", "depth", "normals", "alpha"]
+MODES: tuple[Mode, ...] = ("colour", "depth", "normals", "alpha")
+DISC_DEPTH = "surface_depth"  # of scenes drawn along rays: no native kernel finds the median of their discs
 Corner = tuple[float, float, float]
 
 
@@ -26,7 +29,7 @@ class Look:
     Attributes:
         mode: the quantity to show.
         box: lowest and highest x, y, z of the crop box, world units; None to show everything.
-        background: RGB behind colour, in [0, 1].
+        renderer: with background, low-pass filter and backend.
     """
 
     mode: Mode = "colour"
@@ -37,12 +40,20 @@ class Look:
         """Draws the view of a camera as 8-bit RGB."""
         if self.box:
             gaussians = within(gaussians, *(jnp.array(corner, jnp.float32) for corner in self.box))
-        drawn = self.renderer(gaussians, camera)
-        if self.mode == "depth":
-            return depth_map(np.asarray(drawn.depth), np.asarray(drawn.alpha))
+        if self.mode == "colour":
+            return to_8bit(np.asarray(self.renderer(gaussians, camera, ("rgb",)).rgb))
         if self.mode == "alpha":
-            return np.repeat(to_8bit(np.asarray(drawn.alpha)[..., None]), 3, axis=2)
-        return to_8bit(np.asarray(drawn.rgb))
+            alpha = np.asarray(self.renderer(gaussians, camera, ("alpha",)).alpha)
+            return np.repeat(to_8bit(alpha[..., None]), 3, axis=2)
+        output = NORMALS if self.mode == "normals" else self.depth_of(gaussians)
+        drawn = self.renderer(gaussians, camera, ("alpha", output))
+        values, alpha = np.asarray(drawn.images[output]), np.asarray(drawn.alpha)
+        return normal_map(values, alpha, camera) if self.mode == "normals" else depth_map(values, alpha)
+
+    def depth_of(self, gaussians: Gaussians) -> str:
+        """Returns the name of the output that shows the depth of a scene."""
+        low_pass = self.renderer.low_pass or gaussians.low_pass
+        return DISC_DEPTH if isinstance(low_pass, AlongRays) else ROBUST_DEPTH
 
 
 @jax.jit

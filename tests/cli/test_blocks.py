@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +14,11 @@ from captures import write_capture
 from splatax import cli
 from splatax.blocks.boxes import block_of, places_of
 from splatax.blocks.plan import read_plan
+from splatax.cli.blocks import PlanBlocks, TrainBlock
+from splatax.cli.failures import names_of
+from splatax.cli.train import Train
 from splatax.runs import session
+from splatax.runs.forecast import memory
 
 
 def blocks(*arguments):
@@ -98,7 +103,7 @@ def test_a_block_that_was_stopped_goes_on_and_ends_with_the_same_bytes(city, mon
     error = refused(capsys, "merge", city, city / "scene.ply")
     assert "block 1 is not trained to the end" in error
     monkeypatch.setattr(session, "optimize", sx.training.loop.optimize)
-    blocks("train", city, 1)
+    blocks("train", city, 1, "--memory", "2GB")  # may change, and changes no bit
     assert "resuming after step 3" in capsys.readouterr().out
     assert (city / "block-001" / "scene.ply").read_bytes() == whole
 
@@ -148,6 +153,37 @@ def test_blocks_of_another_plan_are_not_merged(city, original, capsys):
     error = refused(capsys, "merge", city, city / "scene.ply")
     assert "blocks 0, 1 are trained for another plan" in error
     assert "another plan" in refused(capsys, "train", city, 0)
+
+
+def test_a_block_that_does_not_fit_in_the_memory_is_refused_with_the_numbers(city, capsys):
+    shutil.rmtree(city / "block-000")
+    error = refused(capsys, "train", city, 0, "--memory", "300MB")
+    assert re.search(r"start alone takes about 0\.\d\d GB, with \d+ Gaussians of the block, \d+ fixed", error)
+    assert "plan smaller blocks. See --memory." in error
+    least = memory(0, 64, 48, around=1) + 10_000_000  # has room for the start of 60 Gaussians, and few more
+    plan = json.loads((city / "blocks.json").read_text())
+    plan["blocks"][0]["gaussians"] = 1_000_000
+    (city / "blocks.json").write_text(json.dumps(plan))
+    error = refused(capsys, "train", city, 0, "--memory", str(least))
+    assert re.search(
+        r"Block 0 grows to 1,000,000 Gaussians, with \d+ fixed ones around them: --memory", error
+    )
+    assert not (city / "block-000").exists()
+
+
+def test_a_limit_of_memory_that_a_block_fits_in_changes_no_bit(city, capsys):
+    whole = (city / "block-000" / "scene.ply").read_bytes()
+    blocks("train", city, 0, "--memory", "2GB", "--overwrite")
+    assert "within 2.00 GB: room for" in capsys.readouterr().out
+    assert (city / "block-000" / "scene.ply").read_bytes() == whole
+
+
+def test_options_of_train_that_blocks_do_not_have_are_listed():
+    missing = names_of(Train) - names_of(PlanBlocks) - names_of(TrainBlock) - {"scene"}
+    page = (Path(__file__).parents[2] / "docs" / "scale.md").read_text(encoding="utf-8")
+    listed = page[page.index("Blocks do not have the other options") :].partition("\n\n")[0]
+    groups = {"limits", "devices", "saving", "rerun", "live"}
+    assert {name for name in missing - groups if f"`--{name.replace('_', '-')}`" not in listed} == set()
 
 
 @pytest.mark.parametrize("number", [-1, 2, 99])

@@ -4,7 +4,9 @@ import socket
 import subprocess
 import sys
 from collections import deque
+from contextlib import nullcontext
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,9 +16,11 @@ from test_refusals import refused
 from captures import write_capture, write_transforms
 from emitters import as_users_compile
 from splatax import backends, cli
-from splatax.cli import hosts, training
+from splatax.cli import hosts, train, training
 from splatax.cli.preparing import loaded
 from splatax.cli.settings import Settings
+from splatax.cli.starting import NewRun
+from splatax.cli.train_options import Live, Saving
 from splatax.io.datasets.points import write_points
 from splatax.runs.cameras import write_cameras
 from splatax.training.fingerprints import fingerprint
@@ -160,6 +164,57 @@ def test_the_decisions_of_process_0_are_received_with_the_files_that_they_name(t
     assert fingerprint(dataset) == fingerprint(decided)
     assert fingerprint(dataset)["camera of"] != fingerprint(given)["camera of"]
     assert len(dataset.points) == len(FOUND)
+
+
+@pytest.fixture
+def as_one_of_two(monkeypatch):
+    """Pretends that the command runs in one of two processes; returns the runs that it would train."""
+    runs = []
+    monkeypatch.setattr(train, "joined", lambda hosts: nullcontext())
+    monkeypatch.setattr(train.jax, "process_count", lambda: 2)
+    monkeypatch.setattr(train, "train", lambda run, live: runs.append(run))
+    return runs
+
+
+@pytest.mark.parametrize(
+    ("options", "steps", "line"),
+    [
+        ((), 500, "saving a checkpoint every 500 steps. Choose another number: --checkpoint-steps\n"),
+        (("--checkpoint-every", "0"), 500, "every 500 steps"),
+        (("--checkpoint-steps", "7"), 7, ""),
+        (("--checkpoint-steps", "0"), 0, ""),
+    ],
+)
+def test_a_run_on_several_hosts_saves_by_steps_unless_told_otherwise(
+    capsys, capture, as_one_of_two, options, steps, line
+):
+    cli.main(["train", str(capture), "--hosts", "auto", "--views", "2", *options])
+    (run,) = as_one_of_two
+    assert (run.settings.checkpoint_every, run.settings.checkpoint_steps) == (0, steps)
+    printed = capsys.readouterr().out
+    assert line in printed if line else "checkpoint" not in printed
+
+
+def test_a_resumed_run_on_several_hosts_keeps_its_steps_between_checkpoints(as_one_of_two):
+    saved = Settings(Path("noise"), views=2, checkpoint_steps=300)
+    run = hosts.among_processes(NewRun(saved), Saving(), Live())
+    assert (run.settings.checkpoint_every, run.settings.checkpoint_steps) == (0, 300)
+
+
+def test_saving_by_the_clock_is_refused_on_several_hosts(capsys, capture, as_one_of_two):
+    options = ("--hosts", "auto", "--views", "2", "--checkpoint-every", "60")
+    error = refused(capsys, "train", capture, *options)
+    assert "--checkpoint-every 60: several processes cannot save by the clock" in error
+    assert "Give --checkpoint-steps N instead." in error
+    assert not as_one_of_two
+
+
+@pytest.mark.parametrize("options", [("--views", "2", "--view"), ()])
+def test_the_live_viewer_and_steps_on_one_photo_are_refused_on_several_hosts(
+    capsys, capture, as_one_of_two, options
+):
+    error = refused(capsys, "train", capture, "--hosts", "auto", *options)
+    assert "--hosts: needs --views, and cannot be used with --view." in error
 
 
 def test_hosts_that_make_no_sense_are_refused(capsys, capture):

@@ -7,6 +7,7 @@ import pytest
 
 import splatax as sx
 from splatax import cli
+from splatax.errors import InputError
 from splatax.runs.budget import parse_bytes
 from splatax.runs.forecast import memory
 from splatax.runs.planning import room_within
@@ -38,6 +39,18 @@ def test_the_room_is_as_large_as_the_limit_but_not_larger():
     assert least <= 2_000_000_000 < more
 
 
+def test_more_photos_in_a_step_leave_room_for_fewer_gaussians(capture, tmp_path, capsys):
+    one, eight = (room_within(2_000_000_000, made(), first=100, views=views) for views in (1, 8))
+    assert eight.gaussians < one.gaussians
+    options = ["--memory", "2GB", "--views", "8", "--max-gaussians", str(eight.gaussians * 11 // 10)]
+    with pytest.raises(SystemExit):
+        cli.main(["train", str(capture), "--out", str(tmp_path / "run"), *options])
+    assert "--memory 2GB has room for" in capsys.readouterr().err
+    with pytest.raises(InputError, match="smaller, or use fewer photos in a step") as refusal:
+        room_within(100_000_000, made(), first=100, views=8)
+    assert refusal.value.options == ("memory", "downscale", "views")
+
+
 def test_a_limit_that_the_start_exceeds_is_refused_with_the_numbers(capture, tmp_path, capsys):
     with pytest.raises(SystemExit):
         cli.main(["train", str(capture), "--out", str(tmp_path / "run"), "--memory", "100MB"])
@@ -60,7 +73,7 @@ def test_a_start_with_more_gaussians_than_were_asked_for_is_said(capture, tmp_pa
 
 @pytest.mark.parametrize("recipe", ["default", "classic"])
 def test_a_limit_lowers_the_number_of_gaussians_and_is_written_down(recipe, capture, tmp_path, monkeypatch):
-    monkeypatch.setattr("splatax.runs.forecast.most_gaussians", lambda *_: 37)
+    monkeypatch.setattr("splatax.runs.forecast.most_gaussians", lambda *_, **__: 37)
     options = ["--memory", "4GB", "--steps", "30", "--recipe", recipe]
     cli.main(["train", str(capture), "--out", str(tmp_path), *options])
     config = json.loads((tmp_path / "config.json").read_text())

@@ -1,11 +1,15 @@
 """The model of many devices, and the command that prints it."""
 
+import jax
+import jax.numpy as jnp
 import pytest
 
+import splatax as sx
 from splatax import cli
 from splatax.cli.plan import devices_of, number_of, size_of
 from splatax.errors import InputError
-from splatax.runs.scaling import MACHINES, cost
+from splatax.runs.scaling import MACHINES, STATE, cost
+from splatax.training.loop import first_state
 
 HD = 1920 * 1080
 
@@ -23,6 +27,20 @@ def test_devices_share_rows_and_memory_but_each_draws_a_view():
     assert eight.draw > one.draw  # the slowest of eight
 
 
+def test_the_state_that_density_control_gathers_does_not_shrink_with_more_devices():
+    eight, many = (cost(MACHINES["H100"], n, 10_000_000, HD, 0.2) for n in (8, 64))
+    assert many.memory < eight.memory
+    assert many.densifying == eight.densifying == many.peak
+    assert many.densifying > 2 * 7.16, "the old state and the new one; docs/scale.md states the bytes of one"
+
+
+def test_a_state_has_as_many_bytes_for_a_gaussian_as_the_model_counts():
+    gaussians = sx.Gaussians(*(jnp.zeros((8, *shape)) for shape in ((3,), (4,), (3,), (), (16, 3))))
+    state = first_state(gaussians, sx.recipes.default(steps=10), 1.0, 3)
+    rows = [leaf.nbytes for leaf in jax.tree.leaves(state) if leaf.shape[:1] == (8,)]
+    assert sum(rows) == 8 * STATE
+
+
 def test_traffic_between_hosts_takes_longer_than_within():
     eight, nine = (cost(MACHINES["H100"], n, 10_000_000, HD, 0.2) for n in (8, 16))
     assert nine.travel > eight.travel
@@ -30,7 +48,10 @@ def test_traffic_between_hosts_takes_longer_than_within():
 
 def test_what_does_not_fit_is_said(capsys):
     cli.main(["plan", "--devices", "1xCPU", "--gaussians", "1G"])
-    assert "has 64" in capsys.readouterr().out.replace("\n", " ")
+    assert "does not fit in the 64 GB of a device: with 1 devices" in capsys.readouterr().out
+    cli.main(["plan", "--devices", "64xH100", "--gaussians", "60M"])
+    out = capsys.readouterr().out
+    assert "the 80 GB of a device: with 1, 8, 64 devices" in out, "the steps fit, density control does not"
 
 
 def test_the_command_says_that_nothing_was_measured(capsys):

@@ -34,6 +34,7 @@ CityPath = Annotated[Path, tyro.conf.Positional, shown_as("CITY")]
 COARSE = "coarse"  # folder of its run, in that of the plan
 POINTS = "coarse-points.ply"  # those that it starts from, if the capture has too many
 LOOKING = "photos of each block"
+OWN = ("memory", "checkpoint_every", "checkpoint_steps")  # options that each block has for itself
 
 
 @dataclass(frozen=True)
@@ -183,6 +184,11 @@ class TrainBlock:
     """Folder of the plan."""
     block: Annotated[int, tyro.conf.Positional, shown_as("BLOCK")]
     """Number of the block, from 0."""
+    memory: Annotated[str | None, shown_as("SIZE")] = None
+    """Limit the memory of the whole process, for example 4GB. Keeps decoded photos that do not fit on disk.
+    The number of Gaussians is that of the plan: if the block and the fixed Gaussians around it do not fit,
+    the command fails and prints the numbers. By default decoded photos may take half of the machine's
+    memory."""
     checkpoint_every: Annotated[float | None, shown_as("SECONDS")] = None
     """Seconds between checkpoints, as for splatax train."""
     checkpoint_steps: Count = None
@@ -204,7 +210,7 @@ class TrainBlock:
         with understood(self.city / PLAN, "Plan the blocks again."):
             settings = Settings(**typed_fields(Settings, plan.options))
         block = plan.blocks[self.block]
-        saving = {name: value for name, value in given(self).items() if name.startswith("checkpoint")}
+        own = {name: value for name, value in given(self).items() if name in OWN}
         settings = replace(
             settings,
             city=self.city.absolute(),
@@ -214,7 +220,7 @@ class TrainBlock:
             max_gaussians=block.gaussians,
             title=f"{self.city.resolve().name}, block {self.block} of {len(plan.blocks)}",
             overwrite=self.overwrite,
-            **saving,
+            **own,
         )
         carry_on(settings, out)
 

@@ -16,8 +16,12 @@ from tempfile import TemporaryDirectory
 
 import jax
 
+from splatax.cli.options import flag
+from splatax.cli.output import say
 from splatax.cli.preparing import loaded
 from splatax.cli.settings import Settings
+from splatax.cli.starting import Run
+from splatax.cli.train_options import Live, Saving
 from splatax.dataset import Dataset
 from splatax.errors import InputError
 from splatax.runs.machine import processor, versions
@@ -27,6 +31,7 @@ from splatax.training.processes import announce_exit, broadcast, receive, requir
 
 FILES = ("points", "cameras")  # settings that name files which process 0 has, and the others may not
 OWN = ("scene", "hold_out", "memory")  # settings that name what each process has for itself
+CHECKPOINT_STEPS = 500  # between checkpoints, unless the user chooses
 LEAVING = 30  # seconds that a process which exits waits for the others to exit too
 
 
@@ -71,6 +76,31 @@ def _join(hosts: str) -> None:
             f"--hosts {hosts}: the processes did not find each other ({error}). "
             "Start all of them, and name them: --hosts ADDRESS:PORT,COUNT,INDEX."
         ) from error
+
+
+def among_processes(run: Run, saving: Saving, live: Live) -> Run:
+    """Returns a run for several processes, which saves checkpoints by steps because their clocks differ.
+
+    Args:
+        run: as the user asks for it.
+        saving: options as given; those that are not given may come from the run that is resumed.
+        live: the live viewer.
+
+    Raises:
+        InputError: if only one process can make such a run.
+    """
+    if run.settings.views == 1 or live.view:
+        raise InputError("--hosts: needs --views, and cannot be used with --view.")
+    if saving.checkpoint_every:
+        raise InputError(
+            f"{flag('checkpoint_every')} {saving.checkpoint_every:g}: several processes cannot save by the "
+            f"clock, because their clocks differ. Give {flag('checkpoint_steps')} N instead."
+        )
+    steps = run.settings.checkpoint_steps
+    if saving.checkpoint_steps is None:
+        steps = steps or CHECKPOINT_STEPS
+        say(f"saving a checkpoint every {steps:,} steps. Choose another number: {flag('checkpoint_steps')}")
+    return replace(run, settings=replace(run.settings, checkpoint_every=0.0, checkpoint_steps=steps))
 
 
 def send_settings(settings: Settings) -> None:

@@ -20,6 +20,9 @@ UNITS = {"": 1, "k": 1_000, "M": 1_000_000, "G": 1_000_000_000}
 class Plan:
     """Predict time, traffic and memory of a training step on many devices.
 
+    "memory" is that of a device during a step. "densifying" is that of the first device of each process
+    during density control, which gathers the whole scene there.
+
     The numbers come from a model, not from measurements: it counts bytes and divides them by assumed hardware
     rates. docs/scale.md states the assumptions.
     """
@@ -40,23 +43,28 @@ class Plan:
             raise InputError(f"--seen: a fraction above 0 and at most 1, not {self.seen}.")
         times = ("step, ms", "rows", "draw", "travel", "wait")
         # Without lines it fits a terminal of 80 columns.
-        table = Table("devices", *times, "photos/s", "exchanged, GB", "memory, GB", box=None, pad_edge=False)
-        for devices in sorted({1, min(machine.host, count), count}):
-            table.add_row(*row(devices, cost(machine, devices, gaussians, pixels, self.seen), machine))
+        bytes_ = ("exchanged, GB", "memory, GB", "densifying, GB")
+        table = Table("devices", *times, "photos/s", *bytes_, box=None, pad_edge=False, collapse_padding=True)
+        numbers = sorted({1, min(machine.host, count), count})
+        costs = {devices: cost(machine, devices, gaussians, pixels, self.seen) for devices in numbers}
+        for devices, found in costs.items():
+            table.add_row(*row(devices, found))
         say(
             f"a step of one photo of {self.size} for each {machine.name}; {gaussians:,} Gaussians, of which "
             f"a photo shows {self.seen:.0%}"
         )
         show(table)
+        if small := [str(devices) for devices, found in costs.items() if found.peak > machine.room]:
+            say(f"does not fit in the {machine.room:.0f} GB of a device: with {', '.join(small)} devices")
         say("predicted from assumed rates; no such machine was measured")
 
 
-def row(devices: int, found: Cost, machine: Machine) -> list[str]:
+def row(devices: int, found: Cost) -> list[str]:
     """Returns the cells of a number of devices."""
     times = [f"{ms:.1f}" for ms in (found.step, found.rows, found.draw, found.travel, found.wait)]
-    fits = "" if found.memory <= machine.room else f", but it has {machine.room:.0f}"
     speed = f"{devices * 1e3 / found.step:,.0f}"
-    return [str(devices), *times, speed, f"{found.exchanged / 1e9:.2f}", f"{found.memory:.1f}{fits}"]
+    sizes = f"{found.exchanged / 1e9:.2f}", f"{found.memory:.1f}", f"{found.densifying:.1f}"
+    return [str(devices), *times, speed, *sizes]
 
 
 def devices_of(text: str) -> tuple[int, Machine]:

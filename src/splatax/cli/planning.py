@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 
+import jax
+
 import splatax as sx
 from splatax.cli.options import flag
 from splatax.cli.output import say
@@ -48,10 +50,7 @@ def most_gaussians(settings: Settings, dataset: sx.Dataset, room: Room) -> int:
     """
     if settings.max_gaussians != "auto":
         if settings.max_gaussians > room.gaussians:
-            raise InputError(
-                f"{flag('max_gaussians')} {settings.max_gaussians}: {flag('memory')} {settings.memory} has "
-                f"room for {room.gaussians:,}. Give more memory, or ask for fewer."
-            )
+            raise InputError(too_many(settings, dataset, room))
         first = settings.to_recipe(dataset).initialization.number(dataset)
         if first > settings.max_gaussians:
             say(
@@ -61,10 +60,28 @@ def most_gaussians(settings: Settings, dataset: sx.Dataset, room: Room) -> int:
         return settings.max_gaussians
     most = int(min(settings.most(dataset), room.gaussians))
     if most > MOST:
-        most = int(max(min(most, gaussians_here(dataset)), MOST))
+        most = int(max(min(most, gaussians_here(dataset, *drawn_here(settings.views))), MOST))
     if limited := limited_detail(settings, dataset, most):
         say(limited)
     return most
+
+
+def too_many(settings: Settings, dataset: sx.Dataset, room: Room) -> str:
+    """Returns the message about a number of Gaussians for which there is no room."""
+    limit = f"{flag('memory')} {settings.memory} has room for {room.gaussians:,}"
+    if dataset.block is None:
+        asked = f"{flag('max_gaussians')} {settings.max_gaussians}"
+        return f"{asked}: {limit}. Give more memory, or ask for fewer."
+    around = len(dataset.block.context)
+    return (
+        f"Block {settings.block} grows to {settings.max_gaussians:,} Gaussians, with {around:,} fixed ones "
+        f"around them: {limit}. Give more memory, or plan smaller blocks."
+    )
+
+
+def drawn_here(views: int) -> tuple[int, int]:
+    """Returns the number of photos of a step that this process draws, of all `views`, and of its devices."""
+    return -(-views // jax.process_count()), jax.local_device_count()
 
 
 def planned_by_time(

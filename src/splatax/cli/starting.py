@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from splatax.cli.output import say
-from splatax.cli.planning import planned, with_default_steps
+from splatax.cli.planning import drawn_here, planned, with_default_steps
 from splatax.cli.preparing import prepared
 from splatax.cli.settings import Settings
 from splatax.dataset import Dataset
@@ -23,7 +23,9 @@ from splatax.runs.resume import Earlier
 from splatax.training.loop import RunState
 from splatax.training.recipes import Recipe
 
-MAY_CHANGE = {"scene", "points", "judged_by", "title", "checkpoint_every", "checkpoint_steps"}  # on resuming
+MAY_CHANGE = {  # on resuming
+    "scene", "points", "judged_by", "title", "memory", "checkpoint_every", "checkpoint_steps",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -196,7 +198,8 @@ def with_background(settings: Settings, dataset: Dataset) -> Settings:
 
 def memory_for(settings: Settings, dataset: Dataset) -> Room:
     """Returns the memory of a run, and limits that of threads that decode photos; prints a limit."""
-    room = room_within(settings.memory_bytes, dataset, settings.initialization().number(dataset))
+    first = settings.initialization().number(dataset)
+    room = room_within(settings.memory_bytes, dataset, first, *drawn_here(settings.views))
     if settings.memory_bytes:
         say(f"within {gigabytes(settings.memory_bytes)}: {room}")
     decoding.limit = room.decoding

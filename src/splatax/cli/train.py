@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
+import jax
 import tyro
 
-from splatax.cli.hosts import joined
+from splatax.cli.hosts import among_processes, joined
 from splatax.cli.options import flag, given, parsed, shown_as
 from splatax.cli.output import complain, say
 from splatax.cli.settings import NAMES, Settings, as_started
@@ -32,8 +33,8 @@ class Train:
     """Train a scene on a capture.
 
     Writes scene.ply, metrics.json, config.json, report.html and progress.gif. Ctrl-C ends training early
-    and saves the current result; --resume continues from there, or from the last checkpoint of a run that
-    crashed, and produces the same scene as an uninterrupted run.
+    and saves the current result, except with --hosts; --resume continues from there, or from the last
+    checkpoint of a run that crashed, and produces the same scene as an uninterrupted run.
     """
 
     scene: Annotated[Path | None, tyro.conf.Positional, shown_as("CAPTURE")] = None
@@ -57,7 +58,10 @@ class Train:
     def run(self) -> None:
         began = time.monotonic()
         with joined(self.devices.hosts):
-            train(self.asked(began), self.live)
+            run = self.asked(began)
+            if jax.process_count() > 1:
+                run = among_processes(run, self.saving, self.live)
+            train(run, self.live)
 
     def asked(self, began: float) -> Run:
         """Returns the run that the options ask for.

@@ -102,7 +102,8 @@ class Devices:
     """Train together with other processes, which run the same command; needs --views. "auto": as JAX finds
     them (SLURM, Open MPI, Kubernetes, TPU pods); else the address of process 0, the number of processes, and
     the index of this one, from 0. Process 0 decides, and writes the results. Checkpoints are saved every
-    --checkpoint-steps steps. splatax create runs in one process and refuses this option."""
+    --checkpoint-steps steps, by default every 500; --checkpoint-every is refused. Ctrl-C and SIGTERM end the
+    run without saving it. It excludes --view. splatax create runs in one process and refuses this option."""
 
 
 @dataclass(frozen=True)
@@ -164,9 +165,9 @@ class Saving:
     """Steps between evaluations of the held-out photos. By default 0: only at the end."""
     checkpoint_every: Annotated[float | None, shown_as("SECONDS")] = None
     """Seconds between checkpoints. The last two are kept until the run has finished. By default 120; 0: only
-    when the run is interrupted, and at its end."""
+    when the run is interrupted, and at its end. It excludes --hosts, which saves by steps."""
     checkpoint_steps: Count = None
-    """Additionally save a checkpoint every N steps. By default 0: off."""
+    """Additionally save a checkpoint every N steps. By default 0: off; with --hosts, 500."""
 
 
 @dataclass(frozen=True)
@@ -174,7 +175,7 @@ class Live:
     """The live viewer."""
 
     view: Annotated[bool, shown_as()] = False
-    """Show the scene in the browser while it trains."""
+    """Show the scene in the browser while it trains. It excludes --hosts."""
     host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = LOCAL[0]
     """Address to listen on. The default accepts connections from this machine only; 0.0.0.0 accepts
     connections from the network."""

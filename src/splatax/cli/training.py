@@ -5,7 +5,7 @@ its steps with it.
 """
 
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 
 import jax
@@ -21,7 +21,6 @@ from splatax.cli.starting import Decided, Run, memory_for
 from splatax.cli.train_options import Live
 from splatax.cli.view import audience
 from splatax.dataset import Dataset
-from splatax.errors import InputError
 from splatax.evaluation import require_scorable
 from splatax.report import held_out
 from splatax.runs.budget import Changes, Clock
@@ -50,23 +49,10 @@ def train(run: Run, live: Live = Live()) -> None:
         InputError: if a setting makes no sense, a file cannot be read or written, or another process exits.
     """
     run = run.checked()
-    if jax.process_count() > 1:
-        run = among_processes(run, live)
     if jax.process_index() == 0:
         lead(run, live)
     else:
         work(run)
-
-
-def among_processes(run: Run, live: Live) -> Run:
-    """Returns a run for several processes, whose clocks differ: it saves no checkpoint by the clock.
-
-    Raises:
-        InputError: if only one process can make such a run.
-    """
-    if run.settings.views == 1 or live.view:
-        raise InputError("--hosts: needs --views, and cannot be used with --view.")
-    return replace(run, settings=replace(run.settings, checkpoint_every=0.0))
 
 
 def lead(run: Run, live: Live) -> None:
@@ -168,7 +154,7 @@ def changes_of_steps(decided: Decided, history: History) -> Changes:
 def make_steps(session: Session, start: RunState | None, live: Live) -> RunState:
     """Makes the steps of a run with a progress bar, and shows them in the live viewer if requested.
 
-    Ctrl-C ends training after the current step.
+    Ctrl-C ends training after the current step, in a run of one process.
 
     Returns:
         The run after its last step.
@@ -193,8 +179,8 @@ def make_steps(session: Session, start: RunState | None, live: Live) -> RunState
 
 
 def interruption() -> AbstractContextManager[Interruption]:
-    """Returns a context that listens to Ctrl-C.
+    """Returns a context that listens to Ctrl-C and SIGTERM, in a run of one process.
 
-    A run of several processes ignores it, because all would have to stop after the same step.
+    Several processes would have to stop after the same step, so these signals end them at once.
     """
     return Interruption() if jax.process_count() == 1 else nullcontext(Interruption())

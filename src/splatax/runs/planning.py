@@ -65,13 +65,15 @@ class Room:
         return f"room for {self.gaussians:,} Gaussians and {kept}"
 
 
-def room_within(limit: int | None, dataset: Dataset, first: int) -> Room:
+def room_within(limit: int | None, dataset: Dataset, first: int, views: int = 1, devices: int = 1) -> Room:
     """Returns what a run may use of the memory.
 
     Args:
         limit: bytes of the whole process; None for what the machine has.
         dataset: the capture.
         first: Gaussians to start from.
+        views: photos of a step that this process draws.
+        devices: devices of this process.
 
     Raises:
         InputError: if not even the start fits.
@@ -80,28 +82,55 @@ def room_within(limit: int | None, dataset: Dataset, first: int) -> Room:
     if limit is None:
         return Room(photos=PHOTO_FRACTION * (physical_memory() or math.inf), wanted=wanted)
     one = decoding_memory(dataset)
-    least = forecast.memory(first, width, height) + one
+    step = {"views": views, "devices": devices, "around": forecast.fixed(dataset)}
+    least = forecast.memory(first, width, height, **step) + one
     if limit < least:
-        raise InputError(
-            f"{gigabytes(limit)} of memory are too little: the start alone takes about {gigabytes(least)}, "
-            f"with {first:,} Gaussians and photos of {width} x {height}. Give more, or make the photos "
-            "smaller.",
-            options=("memory", "downscale"),
-        )
+        raise too_little(limit, least, first, dataset, views)
     more = min((cores() - 1) * one, round(DECODING_FRACTION * (limit - least)))
     photos = min(wanted, PHOTO_FRACTION * (limit - least - more))
-    gaussians = forecast.most_gaussians(limit - one - more, width, height, round(photos))
+    gaussians = forecast.most_gaussians(limit - one - more, width, height, round(photos), **step)
     return Room(gaussians, photos, wanted, one + more)
 
 
-def gaussians_here(dataset: Dataset) -> int | float:
-    """Returns the number of Gaussians that a run without a limit of memory has room for on this machine."""
+def too_little(limit: int, least: int, first: int, dataset: Dataset, views: int) -> InputError:
+    """Returns the error about a limit of memory in which not even the start fits.
+
+    Args:
+        limit: bytes of the whole process.
+        least: bytes that the start takes.
+        first: Gaussians to start from.
+        dataset: the capture.
+        views: photos of a step that this process draws.
+    """
+    width, height, _ = forecast.photos(dataset)
+    scene, ways_out = f"{first:,} Gaussians", ["make the photos smaller"]
+    if dataset.block:
+        scene = f"{scene} of the block, {len(dataset.block.context):,} fixed ones around them"
+        ways_out = ["plan smaller blocks"]
+    if views > 1:
+        ways_out.append("use fewer photos in a step")
+    return InputError(
+        f"{gigabytes(limit)} of memory are too little: the start alone takes about {gigabytes(least)}, "
+        f"with {scene} and photos of {width} x {height}. Give more, or {', or '.join(ways_out)}.",
+        options=("memory", "downscale", *(("views",) if views > 1 else ())),
+    )
+
+
+def gaussians_here(dataset: Dataset, views: int = 1, devices: int = 1) -> int | float:
+    """Returns the number of Gaussians that a run without a limit of memory has room for on this machine.
+
+    Args:
+        dataset: the capture.
+        views: photos of a step that this process draws.
+        devices: devices of this process.
+    """
     machine = physical_memory()
     if machine is None:
         return math.inf
     width, height, wanted = forecast.photos(dataset)
     photos = min(wanted, round(PHOTO_FRACTION * machine))
-    return forecast.most_gaussians(round(MACHINE_FRACTION * machine), width, height, photos)
+    step = {"views": views, "devices": devices, "around": forecast.fixed(dataset)}
+    return forecast.most_gaussians(round(MACHINE_FRACTION * machine), width, height, photos, **step)
 
 
 def decoding_memory(dataset: Dataset) -> int:

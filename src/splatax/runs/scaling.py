@@ -6,6 +6,9 @@ A step draws one view on each device. A device
     gets the splats of all rows for its view, and sends gradients   traffic between devices
     draws its view, forward and backward                            time by pixel and by visible splat
 
+Density control gathers the state of all rows on the first device of every process, and holds it there twice
+while it makes the new one.
+
 Bytes are those of `splatax.training.views`, which the tests count in the compiled program. The rates of
 machines are assumptions, from data sheets and from published figures; nothing here was measured on them.
 """
@@ -14,6 +17,7 @@ from dataclasses import dataclass
 
 FLOATS = 59  # of a Gaussian with harmonics of degree 3
 ROW = 4 * FLOATS
+STATE = 3 * ROW + 4 * 2  # of a row: parameters, two moments, two statistics of density control
 ADAM = 7 * ROW  # a parameter and its two moments, read and written; its gradient, read
 THERE = 4 * 12  # of a splat: mean 2, shape 3, depth 1, extent 2, colour 3, opacity 1
 BACK = 4 * 12  # of its cotangent: mean 2, shape 3, depth 1, colour 3, opacity 1, pull 2
@@ -65,7 +69,8 @@ class Cost:
         travel: exchanging splats and gradients.
         wait: for collective operations to begin.
         exchanged: bytes that a device gets.
-        memory: GB of a device.
+        memory: GB of a device during a step.
+        densifying: GB of the first device of a process during density control.
     """
 
     rows: float
@@ -74,11 +79,17 @@ class Cost:
     wait: float
     exchanged: int
     memory: float
+    densifying: float
 
     @property
     def step(self) -> float:
         """Milliseconds of the step; nothing overlaps."""
         return self.rows + self.draw + self.travel + self.wait
+
+    @property
+    def peak(self) -> float:
+        """GB of the device that needs most."""
+        return max(self.memory, self.densifying)
 
 
 def cost(machine: Machine, devices: int, gaussians: int, pixels: int, seen: float) -> Cost:
@@ -107,6 +118,7 @@ def cost(machine: Machine, devices: int, gaussians: int, pixels: int, seen: floa
         wait=LATENCIES * machine.latency if devices > 1 else 0.0,
         exchanged=exchanged,
         memory=(own * 4 * ROW + splats + pixels * 160) / 1e9,
+        densifying=gaussians * (2 * STATE + ROW) / 1e9,  # old state, the same without broken rows, new state
     )
 
 

@@ -20,7 +20,6 @@ from jax.experimental import multihost_utils
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Int
 
-from splatax.gaussians import Gaussians
 from splatax.training.capacity import pad
 from splatax.training.random_keys import is_key
 from splatax.training.step import TrainState
@@ -102,13 +101,12 @@ class Sharding:
         then rounds differently.
         """
         unit = self.mesh.size * BLOCK
-        state = _resized(state, max(-(-len(state.gaussians) // unit), 2) * unit)
+        state = _padded(state, max(-(-len(state.gaussians) // unit), 2) * unit)
         return jax.tree.map(self._put, state, placement(state))
 
     def gathered(self, state: TrainState, rows: int) -> TrainState:
         """Copies a state from the devices: its first `rows` rows, in order. Every process gets all of it."""
-        whole = jax.tree.map(self._get, state, placement(state))
-        return _resized(whole, rows)
+        return jax.tree.map(partial(self._get, rows=rows), state, placement(state))
 
     def views(self, leaf: np.ndarray, views: int) -> Array:
         """Sends arrays of the views that this process draws to the devices that draw them."""
@@ -138,12 +136,13 @@ class Sharding:
         sharding = NamedSharding(self.mesh, place)
         return jax.make_array_from_callback(host.shape, sharding, lambda index: host[index])
 
-    def _get(self, leaf: Array, place: PartitionSpec) -> Array:
+    def _get(self, leaf: Array, place: PartitionSpec, rows: int) -> Array:
         if is_key(leaf):
-            return jax.random.wrap_key_data(self._get(jax.random.key_data(leaf), place))
+            return jax.random.wrap_key_data(self._get(jax.random.key_data(leaf), place, rows))
         host = leaf if leaf.is_fully_addressable else multihost_utils.process_allgather(leaf, tiled=True)
         host = np.asarray(host)
-        return jnp.asarray(in_order(host, self.mesh.size) if place == ROWS else host)
+        # A copy: a view of a device array keeps the next step from using its memory again.
+        return jnp.array(in_order(host, self.mesh.size)[:rows] if place == ROWS else host)
 
 
 def by_device(rows: np.ndarray, devices: int) -> np.ndarray:
@@ -210,24 +209,17 @@ def sum_in_order(blocks: Array) -> Array:
     return lax.scan(lambda total, block: (total + block, None), jnp.zeros_like(ordered[0]), ordered)[0]
 
 
-def _resized(state: TrainState, rows: int) -> TrainState:
-    """Returns a state with another number of empty slots at its end."""
-    places = placement(state)
-    now = len(state.gaussians)
+def _padded(state: TrainState, rows: int) -> TrainState:
+    """Returns a state with empty slots at its end, so that it has `rows` rows."""
+    places, more = placement(state), rows - len(state.gaussians)
 
-    def resized(leaf: Array, place: PartitionSpec) -> Array:
-        if place != ROWS:
-            return leaf
-        more = [(0, max(rows - now, 0))] + [(0, 0)] * (leaf.ndim - 1)
-        return jnp.pad(leaf, more)[:rows]
+    def padded(leaf: Array, place: PartitionSpec) -> Array:
+        return jnp.pad(leaf, [(0, more)] + [(0, 0)] * (leaf.ndim - 1)) if place == ROWS else leaf
 
-    def scene(gaussians: Gaussians) -> Gaussians:
-        return pad(gaussians, rows) if rows > now else jax.tree.map(lambda leaf: leaf[:rows], gaussians)
-
-    other = partial(jax.tree.map, resized)
+    other = partial(jax.tree.map, padded)
     return replace(
         state,
-        gaussians=scene(state.gaussians),
+        gaussians=pad(state.gaussians, rows) if more else state.gaussians,
         opt_state=other(state.opt_state, places.opt_state),
         density_state=other(state.density_state, places.density_state),
     )

@@ -265,7 +265,7 @@ def test_flipped_bytes_are_refused_or_read_as_something(sound, seed):
     rng = np.random.default_rng(seed)
     for trial in range(60):
         damaged = bytearray(contents)
-        region = (64, 600, len(contents))[trial % 3]  # headers are damaged more often than their size asks for
+        region = (64, 600, len(contents))[trial % 3]  # headers are damaged most often
         for place in rng.integers(0, min(region, len(contents)), rng.integers(1, 5)):
             damaged[place] = (
                 rng.integers(256) if rng.random() < 0.5 else damaged[place] ^ 1 << rng.integers(8)

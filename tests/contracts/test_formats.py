@@ -188,8 +188,9 @@ def test_a_failed_write_leaves_the_old_file(tmp_path, suffix, monkeypatch):
     assert sorted(tmp_path.rglob("*")) == files
 
 
-def test_what_saving_loses_is_one_sentence(suffix):
+def test_what_saving_loses_is_one_sentence_after_a_colon(suffix):
     loses = formats.FORMATS[suffix].LOSES
+    assert loses[0].islower()
     assert loses.endswith(".")
     assert loses.count(". ") == 0
 

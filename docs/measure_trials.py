@@ -115,14 +115,14 @@ def before_a_learned_sky(dataset: Dataset, recipe: Recipe) -> Trained:
     return Trained(progress.gaussians, seconds, Renderer(background=Sky(jnp.array(learned))))
 
 
-def distilled(share: float) -> Trial:
+def distilled(fraction: float) -> Trial:
     """Returns the trial of a scene that learns from two others at poses between photos.
 
-    Each of the two makes a fraction of the steps, `share`. The pictures are means of theirs.
+    Each of the two makes a fraction of the steps. The pictures are means of theirs.
     """
 
     def trial(dataset: Dataset, recipe: Recipe) -> Trained:
-        shorter = default(round(recipe.steps * share), recipe.density.max_gaussians)
+        shorter = default(round(recipe.steps * fraction), recipe.density.max_gaussians)
         taught = [plain(dataset, replace(shorter, seed=recipe.seed + extra)) for extra in (100, 200)]
         between = [
             View(f"between{i}", camera, lambda pixels=mean_picture(taught, camera): pixels)

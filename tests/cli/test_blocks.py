@@ -78,6 +78,7 @@ def test_a_plan_says_what_each_block_has_to_do_and_how_to_start_the_jobs(origina
     out = capsys.readouterr().out
     assert f"for block in $(seq 0 1); do splatax blocks train {tmp_path / 'city'} $block; done" in out
     assert f"CITY={tmp_path / 'city'} sbatch --array=0-1 docs/jobs/blocks.sh" in out
+    assert "for block in $(seq 0 1); do sky jobs launch -y -d --env BLOCK=$block docs/jobs/blocks.yaml" in out
     contents = json.loads((tmp_path / "city" / "blocks.json").read_text())
     assert contents["coarse"] == str(given / "scene.ply")
     for block in contents["blocks"]:

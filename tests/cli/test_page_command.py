@@ -54,7 +54,7 @@ def test_export_makes_the_same_page(trained, capture, tmp_path, capsys, options)
         cli.main(
             [command, str(trained), str(tmp_path / f"{command}.html"), "--scene", str(capture), *options]
         )
-        assert "loses: Positions are rounded" in capsys.readouterr().out
+        assert "loses: positions are rounded" in capsys.readouterr().out
     assert (tmp_path / "export.html").read_bytes() == (tmp_path / "page.html").read_bytes()
 
 

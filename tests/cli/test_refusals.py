@@ -10,6 +10,7 @@ from captures import write_capture
 from scenes import random_gaussians
 from splatax import cli
 from splatax.runs import claim
+from splatax.training.recipes import PRESETS
 
 
 def refused(capsys, *arguments) -> str:
@@ -22,6 +23,15 @@ def refused(capsys, *arguments) -> str:
     assert error.count("\n") == 1
     assert "Traceback" not in error
     return error
+
+
+@pytest.mark.parametrize("command", ["train", "create"])
+def test_an_unknown_recipe_is_refused_with_the_recipes_in_their_order(command, capsys):
+    with pytest.raises(SystemExit) as exit:
+        cli.main([command, "capture", "--recipe", "unknown"])
+    assert exit.value.code == 2
+    error = " ".join(capsys.readouterr().err.replace("│", " ").split())
+    assert f"Expected one of {tuple(PRESETS)}" in error
 
 
 def test_photos_too_small_for_a_score_are_refused_before_training(tmp_path, capsys):

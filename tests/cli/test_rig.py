@@ -141,13 +141,13 @@ def test_a_film_shows_the_poses_of_the_clip(run, tmp_path):
 
 def test_a_file_keeps_the_one_clip_that_was_asked_for(run, tmp_path, capsys):
     cli.main(["animate", str(run), str(tmp_path / "a.glb"), "--clip", "Wave"])
-    assert "loses: Only rounding" in capsys.readouterr().out
+    assert "loses: only rounding" in capsys.readouterr().out
     assert list(load_rigged(tmp_path / "a.glb").clips) == ["Wave"]
 
 
 def test_a_scan_is_bound_to_a_body(capsys, run, arm, tmp_path):
     cli.main(["bind", str(run / "scene.ply"), f"{arm}/body.glb", "--out", str(tmp_path / "bound.glb")])
-    assert "loses: Only rounding" in capsys.readouterr().out
+    assert "loses: only rounding" in capsys.readouterr().out
     bound = load_rigged(tmp_path / "bound.glb")
     np.testing.assert_allclose(
         bound.gaussians.means, load_rigged(run / "rigged.glb").gaussians.means, atol=1e-6

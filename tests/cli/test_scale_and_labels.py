@@ -54,7 +54,7 @@ def test_a_known_distance_gives_the_scene_its_scale_and_changes_no_gaussian(scen
     cli.main(["metres", str(scene), "0,0,1", "(0,3,-3)", "2.5"])
     told = capsys.readouterr().out
     assert "5 units are 2.5 m, so one unit is 0.5 m" in told
-    assert "loses: Nothing" in told
+    assert "loses: nothing" in told
     assert_array_equal(sx.load(scene).means, before.means)
     assert "kept" in formats.comments(scene)
     scaled = sensors.load_in_metres(scene)

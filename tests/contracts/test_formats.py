@@ -188,8 +188,9 @@ def test_a_failed_write_leaves_the_old_file(tmp_path, suffix, monkeypatch):
     assert sorted(tmp_path.rglob("*")) == files
 
 
-def test_what_saving_loses_is_one_sentence(suffix):
+def test_what_saving_loses_is_one_sentence_after_a_colon(suffix):
     loses = formats.FORMATS[suffix].LOSES
+    assert loses[0].islower()
     assert loses.endswith(".")
     assert loses.count(". ") == 0
 
@@ -265,7 +266,7 @@ def test_flipped_bytes_are_refused_or_read_as_something(sound, seed):
     rng = np.random.default_rng(seed)
     for trial in range(60):
         damaged = bytearray(contents)
-        region = (64, 600, len(contents))[trial % 3]  # headers deserve more than their share
+        region = (64, 600, len(contents))[trial % 3]  # headers are damaged most often
         for place in rng.integers(0, min(region, len(contents)), rng.integers(1, 5)):
             damaged[place] = (
                 rng.integers(256) if rng.random() < 0.5 else damaged[place] ^ 1 << rng.integers(8)

@@ -15,10 +15,10 @@ import splatax as sx
 from captures import SIZE, model_of, pinhole, write_capture, write_transforms
 from scenes import camera_at
 from splatax.cameras import look_at, rig
-from splatax.inspection import examine, problems_of, seconds_to_train
-from splatax.inspection.looks import looks_of, robust_scores, spread
+from splatax.inspection import Examination, examine, problems_of, seconds_to_train
+from splatax.inspection.looks import Look, looks_of, robust_scores, spread, thumbnail
 from splatax.io.images import read
-from splatax.report.capture import capture_page, facts_of, roughly
+from splatax.report.capture import MOST, capture_page, facts_of, roughly
 from splatax.report.plan import upright_frame
 from splatax.runs.budget import HEAVIER
 
@@ -215,6 +215,29 @@ def test_the_page_needs_nothing_else_and_escapes_names(capture):
     assert not re.findall(r'<link|url\(["\']?http|href="http', page)
     assert page.count("<figcaption><b>photo") == COUNT
     assert page.count('<img src="data:image/jpeg') == COUNT  # each photo with a pose is shown
+    assert "All photos" not in page
+
+
+def test_the_page_of_5000_photos_shows_those_with_problems_and_lists_all_below_20_mb(tmp_path):
+    rng = np.random.default_rng(0)
+    noise = [thumbnail(rng.integers(0, 256, (240, 240, 3), np.uint8)) for _ in range(2)]  # compresses worst
+    names = [f"{i:04}.jpg" for i in range(5000)]
+    looks = {name: Look(0.5, 0.0, 100.0, noise[i % 2]) for i, name in enumerate(names)}
+    dark = names[7::625]  # more than the sentence lists
+    looks |= {name: replace(looks[name], luminance=0.1) for name in dark}
+    looks[names[99]] = Look(unreadable="no photo")
+    found = Examination(tmp_path, None, dict.fromkeys(names, tmp_path), looks)
+    page = capture_page(found, problems_of(found))
+    assert len(page) < 20e6
+    pictured = re.findall(r"<figcaption><b>(.*?)</b>", page)
+    assert len(pictured) == MOST
+    assert pictured[:9] == sorted([*dark, names[99]])
+    gaps = np.diff([names.index(name) for name in pictured[9:]])
+    assert gaps.min() > 0
+    assert gaps.max() <= len(names) // MOST + 3  # between them lie photos with problems
+    assert f"Pictures of {MOST} of 5000 photos" in page
+    assert re.findall(r"<tr(?: class=\"bad\")?><td>(\d{4}\.jpg)", page) == names
+    assert page.count('<tr class="bad">') == 9
 
 
 def test_up_in_the_picture_is_where_photos_have_their_top():

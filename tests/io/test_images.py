@@ -15,7 +15,7 @@ from captures import write_capture, write_transforms
 from splatax.errors import DatasetError
 from splatax.inspection.looks import look
 from splatax.io import images
-from splatax.io.memory import machine_memory
+from splatax.io.memory import MEMORY_DIVISOR, machine_memory
 
 
 @pytest.fixture
@@ -169,7 +169,7 @@ def test_a_photo_that_does_not_fit_is_refused_before_it_is_decoded(tmp_path, lim
 
 
 def test_the_limit_is_a_fraction_of_the_machine():
-    assert images.memory_limit() == machine_memory() // images.MEMORY_SHARE > 1 << 28
+    assert images.memory_limit() == machine_memory() // MEMORY_DIVISOR > 1 << 28
 
 
 def test_photos_of_200_megapixels_are_measured_without_a_warning(tmp_path, limit, monkeypatch):

@@ -199,10 +199,10 @@ def test_distortion_that_a_capture_lacks_is_found():
     recipe = replace(KNOWN, steps=300, camera_refinement=Distortion(reach=2.0))
     _, found = learn(wrong, recipe, TRUTH)
     corner = jnp.array([1.0, -1.0]) * view_corner(views[0].camera)
-    for share in (0.25, 0.5, 0.75, 1.0):  # k1 and k2 trade against each other; places of pixels tell
-        place = jnp.append(share * corner, 1.0)
+    for fraction in (0.25, 0.5, 0.75, 1.0):  # k1 and k2 trade against each other; places of pixels tell
+        place = jnp.append(fraction * corner, 1.0)
         expected = views[0].camera.to_pixel(place)
-        assert np.linalg.norm(wrong[0].camera.to_pixel(place) - expected) > 0.3 or share < 1
+        assert np.linalg.norm(wrong[0].camera.to_pixel(place) - expected) > 0.3 or fraction < 1
         for view in found:
             assert_allclose(view.camera.to_pixel(place), expected, atol=0.1)
 

@@ -132,11 +132,11 @@ def test_a_run_that_refines_poses_and_was_stopped_ends_with_the_same_bits(tmp_pa
 # --- damage ---
 
 
-@pytest.mark.parametrize("share", [0, 0.001, 0.3, 0.9, 0.9999])
-def test_a_file_that_was_cut_short_is_refused(saved, share):
+@pytest.mark.parametrize("fraction", [0, 0.001, 0.3, 0.9, 0.9999])
+def test_a_file_that_was_cut_short_is_refused(saved, fraction):
     path, _ = saved
     contents = path.read_bytes()
-    path.write_bytes(contents[: int(share * len(contents))])
+    path.write_bytes(contents[: int(fraction * len(contents))])
     with pytest.raises(FormatError, match=r"00000017\.npz: damaged"):
         checkpoint.read(path)
 

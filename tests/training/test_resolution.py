@@ -61,8 +61,8 @@ def test_a_divided_camera_sees_a_point_at_the_same_place_of_the_photo():
     camera = camera_at(size=(63, 40))
     smaller, _, _ = divided(camera, np.zeros((40, 63, 3), np.uint8), None, 4)
     point = jnp.array([0.3, -0.2, 2.0])
-    share = camera.to_pixel(point) / np.array([63, 40])
-    assert np.allclose(smaller.to_pixel(point) / np.array([smaller.width, smaller.height]), share, atol=1e-6)
+    at = camera.to_pixel(point) / np.array([63, 40])
+    assert np.allclose(smaller.to_pixel(point) / np.array([smaller.width, smaller.height]), at, atol=1e-6)
 
 
 def test_a_pixel_counts_only_where_all_that_it_covers_does():

@@ -220,7 +220,7 @@ def test_higher_bands_learn_twenty_times_slower():
     assert_allclose(sh, [2.5e-3] + [1.25e-4] * 3, rtol=1e-6)
 
 
-def test_what_settles_keeps_its_rate_until_then_and_ends_at_a_share_of_it():
+def test_what_settles_keeps_its_rate_until_then_and_ends_at_a_fraction_of_it():
     rates = LearningRates(settled=0.01, settling_from=0.8)
     at = [rates.at(jnp.float32(p), jnp.float32([1.0]), 4) for p in (0, 0.8, 0.9, 1)]
     assert_allclose([float(r.opacity_logits[0]) for r in at], [0.05, 0.05, 0.005, 0.0005], rtol=1e-4)

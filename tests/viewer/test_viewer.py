@@ -178,8 +178,8 @@ def test_a_frame_is_sent_when_something_changed_and_in_full_at_rest(viewer):
     assert not viewer.watched
 
 
-def test_drawing_stays_within_its_share_of_training(viewer):
-    from splatax.cli.view import RESTING_SHARE, Audience
+def test_drawing_stays_within_its_fraction_of_the_time_of_training(viewer):
+    from splatax.cli.view import RESTING_FRACTION, Audience
     from splatax.runs.history import History
 
     audience, client, history = Audience(viewer), Client(), History(losses=[0.5, 0.4])
@@ -193,7 +193,7 @@ def test_drawing_stays_within_its_share_of_training(viewer):
     assert not audience.waits
     while not audience.waits:
         time.sleep(0.01)
-    assert time.monotonic() - ended >= 0.1 * (1 - RESTING_SHARE) / RESTING_SHARE
+    assert time.monotonic() - ended >= 0.1 * (1 - RESTING_FRACTION) / RESTING_FRACTION
 
 
 def test_a_pause_ends_when_all_have_left(viewer):

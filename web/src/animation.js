@@ -23,11 +23,11 @@ class Bones {
     const place = Math.min(Math.max(pose, 0), last);
     const frame = Math.min(Math.floor(place), Math.max(last - 1, 0));
     const after = Math.min(frame + 1, last);
-    const share = place - frame;
+    const fraction = place - frame;
     for (let joint = 0; joint < this.joints; joint++) {
       for (let i = 0; i < VALUES; i++) {
         const at = (f) => this.bones[(f * this.joints + joint) * VALUES + i];
-        this.skinning.boneData[joint * ROW + i] = (1 - share) * at(frame) + share * at(after);
+        this.skinning.boneData[joint * ROW + i] = (1 - fraction) * at(frame) + fraction * at(after);
       }
     }
     this.skinning.updateBones();

@@ -14,6 +14,7 @@ from typing import Annotated, Any
 import tyro
 
 import splatax
+from splatax.cli.choices import OPTIONAL_CHOICES
 from splatax.cli.commands import COMMANDS
 from splatax.cli.failures import advice
 from splatax.cli.interruption import STOPPED
@@ -89,7 +90,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if given == ["--version"]:
             say(f"splatax {splatax.__version__}")
             return
-        command = parsed([with_home(text) for text in given])
+        with OPTIONAL_CHOICES:
+            command = parsed([with_home(text) for text in given])
         warnings.showwarning = lambda message, *_: complain(f"warning: {message}")  # without lines of code
         keep_compiled_programs()
         keep_freed_memory()

@@ -102,7 +102,7 @@ def measure(
     splats = sx.project(scene.gaussians, scene.camera)
     counted = roofline.slots(splats)
 
-    def share(operation: str, milliseconds: float) -> float | None:
+    def fraction_of_limit(operation: str, milliseconds: float) -> float | None:
         shortest = roofline.shortest(operation, counted, flops) if counted and flops else None
         return shortest / milliseconds if shortest else None
 
@@ -114,7 +114,7 @@ def measure(
                 "operation": name,
                 "backend": backend,
                 **asdict(timing),
-                "share_of_limit": share(name, timing.median),
+                "fraction_of_limit": fraction_of_limit(name, timing.median),
             }
         )
     return {
@@ -150,7 +150,7 @@ def table(result: dict[str, Any]) -> Table:
     for row in sorted(result["operations"], key=lambda row: list(fastest).index(row["operation"])):
         times = [f"{row[key]:.1f}" for key in ("median", "minimum", "first")]
         ratio = row["median"] / fastest[row["operation"]]
-        limit = f"{row['share_of_limit']:.0%}" if row["share_of_limit"] else ""
+        limit = f"{row['fraction_of_limit']:.0%}" if row["fraction_of_limit"] else ""
         drawn.add_row(row["operation"], row["backend"], *times, f"{ratio:.2f}", limit)
     return drawn
 

@@ -34,7 +34,7 @@ from splatax.io.scenes import save_scene
 
 BYTES = 20  # of a Gaussian and a label: their votes, and channel, weight and sum while a view votes
 BYTES_OF_PIXEL = 8  # of a view and a label: what is chosen, and what is drawn
-MEMORY_SHARE = 2  # votes may take the machine's memory divided by this
+VOTES_DIVISOR = 2  # votes may take the machine's memory divided by this
 Labelled = list[tuple[sx.Camera, np.ndarray]]
 
 
@@ -142,7 +142,7 @@ def check_memory(gaussians: int, pixels: int, count: int) -> None:
     Raises:
         InputError: if they do not fit.
     """
-    needed, limit = (BYTES * gaussians + BYTES_OF_PIXEL * pixels) * count, machine_memory() // MEMORY_SHARE
+    needed, limit = (BYTES * gaussians + BYTES_OF_PIXEL * pixels) * count, machine_memory() // VOTES_DIVISOR
     if needed > limit:
         raise InputError(
             f"the votes of {gaussians:,} Gaussians for {count:,} labels take {needed / 1e9:.3g} GB, and "

@@ -29,8 +29,8 @@ from splatax.runs.history import History
 from splatax.viewer.pictures import Look
 from splatax.viewer.server import LOCAL, PORT, WINDOW, Viewer
 
-RESTING_SHARE = 0.15  # fraction of the time that drawing may take while no camera moves
-MOVING_SHARE = 0.5  # and while one moves
+RESTING_FRACTION = 0.15  # fraction of the time that drawing may take while no camera moves
+MOVING_FRACTION = 0.5  # and while one moves
 LONGEST_SECONDS = 0.5  # of drawing between two steps
 
 
@@ -99,9 +99,9 @@ class Audience:
         """True if it is time to draw: drawing has taken less than its fraction of the time."""
         if not self.viewer.watched:
             return False
-        share = MOVING_SHARE if self.viewer.moving else RESTING_SHARE
+        fraction = MOVING_FRACTION if self.viewer.moving else RESTING_FRACTION
         since = time.monotonic() - self._ended
-        return self.viewer.panels.paused or self._spent * (1 - share) <= share * since
+        return self.viewer.panels.paused or self._spent * (1 - fraction) <= fraction * since
 
     def show(self, progress: sx.Progress, history: History, stopped: Callable[[], bool]) -> None:
         """Draws the scene while training is paused, and for the time of a step while a camera moves.

@@ -49,10 +49,10 @@ def photograph_mesh(
     centre = np.array([float(camera.cx), float(camera.cy)])
     pixels = SAMPLES * (local[:, :2] / local[:, 2:] * focal + centre)
     width, height = SAMPLES * camera.width, SAMPLES * camera.height
-    hit, shares = _nearest(pixels, local[:, 2], triangles, (width, height))
+    hit, weights = _nearest(pixels, local[:, 2], triangles, (width, height))
     seen = hit >= 0
     corners = triangles[hit[seen]]
-    places, own = (np.einsum("pk,pkc->pc", shares[seen], rows[corners]) for rows in (bound, colors))
+    places, own = (np.einsum("pk,pkc->pc", weights[seen], rows[corners]) for rows in (bound, colors))
     image = np.zeros((height * width, 4))
     image[seen, :3] = np.clip(texture(places, own), 0, 1)
     image[seen, 3] = 1
@@ -81,14 +81,14 @@ def _nearest(
     met = (screen >= 0).all(axis=-1) & np.isfinite(doubled) & (x < size[0]) & (y < size[1])
     index = np.nonzero(met)
     owner = owners[index[0]]
-    shares = screen[index] / depths[triangles[owner]]  # linear in space, not on the image
-    inverse = shares.sum(axis=1)
+    weights = screen[index] / depths[triangles[owner]]  # linear in space, not on the image
+    inverse = weights.sum(axis=1)
     place = (np.floor(np.broadcast_to(y, met.shape)[index]) * size[0]).astype(np.int64)
     place += np.floor(np.broadcast_to(x, met.shape)[index]).astype(np.int64)
     order = np.argsort(inverse, kind="stable")  # the nearest is written last
     hit, kept = np.full(size[0] * size[1], -1), np.zeros((size[0] * size[1], 3))
     hit[place[order]] = owner[order]
-    kept[place[order]] = (shares / inverse[:, None])[order]
+    kept[place[order]] = (weights / inverse[:, None])[order]
     return hit, kept
 
 

@@ -37,7 +37,7 @@ def drawn_arm(bones: int = 3, sides: int = 12) -> Body:
     place = np.concatenate([np.repeat(height, sides), [0, bones]])
     first = np.clip(np.floor(place - 0.5), 0, bones - 1).astype(int)
     second = np.minimum(first + 1, bones - 1)
-    share = np.clip((place - first - 0.75) / 0.5, 0, 1)  # blends a quarter bone around each joint
+    weight = np.clip((place - first - 0.75) / 0.5, 0, 1)  # blends a quarter bone around each joint
     i, k = np.meshgrid(np.arange(rings - 1), np.arange(sides), indexing="ij")
     a, b = i * sides + k, i * sides + (k + 1) % sides
     around = np.arange(sides)
@@ -74,7 +74,7 @@ def drawn_arm(bones: int = 3, sides: int = 12) -> Body:
         vertices,
         triangles,
         np.stack([first, second], axis=1),
-        np.stack([1 - share, share], axis=1),
+        np.stack([1 - weight, weight], axis=1),
         np.tile([0.8, 0.55, 0.35], (len(vertices), 1)),
     )
     return Body(skeleton, {"Wave": wave}, surface)

@@ -1,6 +1,6 @@
 """Finds the problems of a capture, and suggests a fix for each."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -31,11 +31,13 @@ class Problem:
         severity: an "error" prevents training or spoils the scene; a "warning" makes the scene worse.
         what: description of the problem.
         fix: suggestion to the user.
+        photos: names of the photos that have the problem, also of those that `what` does not list.
     """
 
     severity: Literal["error", "warning"]
     what: str
     fix: str
+    photos: tuple[str, ...] = ()
 
 
 def problems_of(found: Examination) -> list[Problem]:
@@ -68,6 +70,7 @@ def shape(found: Examination) -> Iterator[Problem]:
             f"{are(list(found.wide))} twice as wide as high, like 360-degree photos, but their metadata do "
             f"not say that they are: {listed(found.wide)}.",
             "If they are, reconstruct them with panoramas all.",
+            found.wide,
         )
 
 
@@ -79,6 +82,7 @@ def registration(found: Examination) -> Iterator[Problem]:
             "warning",
             f"{len(unused)} of {len(unused) + len(found.views)} photos have no pose: {listed(unused)}.",
             "Take them again with more overlap, or leave them out; the scene is not seen from there.",
+            tuple(unused),
         )
 
 
@@ -114,6 +118,7 @@ def errors(found: Examination) -> Iterator[Problem]:
             "warning",
             f"{are(bad)} placed worse than the rest: {listed(bad)}.",
             "Remove them from the capture if they are blurred or something moved.",
+            tuple(bad),
         )
 
 
@@ -123,7 +128,7 @@ def photos(found: Examination) -> Iterator[Problem]:
     if broken := sorted(found.looks.keys() - seen.keys()):
         why = found.looks[broken[0]].unreadable
         what = f"{counted(len(broken))} cannot be read: {listed(broken)} ({why.removesuffix('.')})."
-        yield Problem("error", what, "Copy them from the camera again.")
+        yield Problem("error", what, "Copy them from the camera again.", tuple(broken))
     if seen:
         yield from exposure(seen)
         yield from blur(seen)
@@ -147,12 +152,14 @@ def exposure(looks: dict[str, Look]) -> Iterator[Problem]:
                 "warning",
                 f"{are(names)} much {how} than the rest: {listed(names)}.",
                 "Lock exposure and white balance, or leave these out.",
+                tuple(names),
             )
     if np.median(luminances) < DARK:
         yield Problem("warning", "The photos are dark, so noise will be learned.", "Add light.")
     if white := sorted(name for name, look in looks.items() if look.clipped > MUCH_WHITE):
         what = f"{are(white)} white over more than {MUCH_WHITE:.0%} of their area: {listed(white)}."
-        yield Problem("warning", what, "Expose for the bright parts, unless that is a white backdrop.")
+        fix = "Expose for the bright parts, unless that is a white backdrop."
+        yield Problem("warning", what, fix, tuple(white))
 
 
 def blur(looks: dict[str, Look]) -> Iterator[Problem]:
@@ -162,6 +169,7 @@ def blur(looks: dict[str, Look]) -> Iterator[Problem]:
             "warning",
             f"{are(names)} blurred, compared with the rest: {listed(names)}.",
             "Leave them out, or take them again: stop before each photo, with a short exposure.",
+            tuple(names),
         )
 
 
@@ -183,7 +191,8 @@ def masks(found: Examination) -> Iterator[Problem]:
         name, reason = next(iter(bad.items()))
         why = reason.removeprefix(f"{name}: ").removesuffix(".")
         what = f"{counted(len(bad), 'mask')} cannot be used: {listed(bad)} ({why})."
-        yield Problem("error", what, "Training stops at them: make them again, or delete them.")
+        fix = "Training stops at them: make them again, or delete them."
+        yield Problem("error", what, fix, photos_of(found, bad))
     if hidden := sorted(name for name, shown in found.coverage.items() if shown < MOSTLY_HIDDEN):
         leave, their = ("leaves", "its") if len(hidden) == 1 else ("leave", "their")
         least = f"{MOSTLY_HIDDEN:.0%} of {their} photo"
@@ -191,7 +200,14 @@ def masks(found: Examination) -> Iterator[Problem]:
             "warning",
             f"{counted(len(hidden), 'mask')} {leave} less than {least}: {listed(hidden)}.",
             "White counts and black does not: invert the masks if they are the other way round.",
+            photos_of(found, hidden),
         )
+
+
+def photos_of(found: Examination, views: Iterable[str]) -> tuple[str, ...]:
+    """Returns the names of the photos that views with these names show."""
+    named = {view.name: view.photo for view in found.dataset.views} if found.dataset else {}
+    return tuple(dict.fromkeys(named[name] for name in views))
 
 
 def points(found: Examination) -> Iterator[Problem]:

@@ -2,7 +2,7 @@
 
 Only the formats in `FORMATS` are opened, because Pillow has formats that start other programs. Memory is
 bounded before anything is decoded. Pillow's own limit is a number of pixels that does not depend on the
-machine, and it refuses the photos of phones. Here one photo may take 1 / `MEMORY_SHARE` of the memory.
+machine, and it refuses the photos of phones. Here one photo may take 1 / `MEMORY_DIVISOR` of the memory.
 """
 
 import io
@@ -20,7 +20,7 @@ from splatax.errors import DatasetError
 from splatax.io.damage import blamed_on
 from splatax.io.files import write_whole
 from splatax.io.levels import SIDEWAYS, eight_bits, orientation, turned
-from splatax.io.memory import machine_memory
+from splatax.io.memory import MEMORY_DIVISOR, machine_memory
 from splatax.resampling import resize
 
 if TYPE_CHECKING:
@@ -31,7 +31,6 @@ FORMATS = ("JPEG", "PNG", "BMP", "TIFF", "WEBP", "HEIF")  # HEIF needs pillow-he
 BYTES_PER_PIXEL = 8  # peak of `read`, measured at 144 megapixels: 4 in Pillow, 3 or 4 in the result
 BYTES_OF_FORMAT = {"WEBP": 18, "TIFF": 12, "HEIF": 18}  # bytes per pixel of decoders that hold more copies
 BYTES_PER_COEFFICIENT = 2  # progressive JPEG keeps the coefficients of the full size, even for a draft
-MEMORY_SHARE = 4  # one photo may take the machine's memory divided by this
 BOX, HAMMING = 4, 5  # Pillow's filters: the mean of an area, and one whose borders are tapered
 DRAFTS = (1, 2, 4, 8)  # divisors of the size at which a JPEG can be decoded
 HALF, ENOUGH = 2, 2.5  # the draft for shrinking by so much or more, if that is no whole number
@@ -50,7 +49,7 @@ def limit_memory(limit: int | None) -> None:
 
 def memory_limit() -> int:
     """Returns the number of bytes that decoding one photo may take."""
-    return machine_memory() // MEMORY_SHARE if _limit is None else _limit
+    return machine_memory() // MEMORY_DIVISOR if _limit is None else _limit
 
 
 def is_image(path: Path) -> bool:

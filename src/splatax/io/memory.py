@@ -9,7 +9,7 @@ from threading import Condition
 
 CONTAINER = Path("/sys/fs/cgroup/memory.max")  # Linux, version 2
 ASSUMED = 8 << 30  # bytes, if the system does not report its memory
-DECODING_SHARE = 4  # all photos that are decoded at one time may take the memory divided by this
+MEMORY_DIVISOR = 4  # photos being decoded, or the volume of a mesh, may take the memory divided by this
 
 
 @lru_cache
@@ -39,7 +39,7 @@ class Allowance:
     @property
     def limit(self) -> int:
         """Bytes of all work at one time."""
-        return machine_memory() // DECODING_SHARE if self._limit is None else self._limit
+        return machine_memory() // MEMORY_DIVISOR if self._limit is None else self._limit
 
     @limit.setter
     def limit(self, limit: int | None) -> None:

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from splatax.cameras import Camera
 from splatax.cameras.geometry import rays, seen_at
-from splatax.io.memory import machine_memory
+from splatax.io.memory import MEMORY_DIVISOR, machine_memory
 from splatax.mesh.views import DepthView, Watch, jumps_of, row_major, sampled, unwatched
 from splatax.mesh.volume import SIDE, VOXELS, Volume, blocks_around, coordinates_of, empty_volume
 from splatax.surfaces import normals_of, positions_of
@@ -18,7 +18,6 @@ from splatax.surfaces import normals_of, positions_of
 BATCH = 256  # blocks that are computed at a time
 LEAST_COSINE = 0.1  # of the angle at which a surface is seen: more slanted pixels count like this
 MOST_BEHIND = 2  # truncations behind a surface, along the ray, at which its slanted pixels still count
-MEMORY_SHARE = 4  # a volume may take the machine's memory divided by this
 OFFSETS = np.stack(np.meshgrid(*[np.arange(SIDE)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
@@ -48,7 +47,7 @@ def fuse(views: Sequence[DepthView], settings: Fusion, watch: Watch = unwatched)
     Raises:
         InputError: if the volume takes more memory than it may.
     """
-    memory = machine_memory() // MEMORY_SHARE if settings.memory is None else settings.memory
+    memory = machine_memory() // MEMORY_DIVISOR if settings.memory is None else settings.memory
     keys = np.zeros(0, np.int64)
     for view in watch(views, "finding surfaces"):
         depth = view.read().depth

@@ -13,7 +13,7 @@ from splatax.reconstruction.writing import Ways
 if TYPE_CHECKING:
     import pycolmap
 
-FEWEST, LEAST_SHARE = 3, 0.5  # number and fraction of photos that must get a pose
+FEWEST, LEAST_FRACTION = 3, 0.5  # number and fraction of photos that must get a pose
 WIDE = "They are twice as wide as they are high: if they show 360 degrees, say so."
 
 
@@ -52,7 +52,7 @@ def too_few_placed(
     """Raises a DatasetError if the largest part of a reconstruction has poses for too few of the photos."""
     count, wide = len(set(photos.values())), wide_of(photos)
     placed = parts[0].num_reg_frames() if parts else 0
-    if placed < max(FEWEST, LEAST_SHARE * count):
+    if placed < max(FEWEST, LEAST_FRACTION * count):
         raise DatasetError(
             f"{source}: only {placed} of {count} photos fit together; {most_frequent(rejected)}. "
             f"{WIDE if 2 * wide > count else diagnosis.advice(rejected)}",

@@ -1,7 +1,7 @@
 """The findings of `splatax inspect`: facts for a terminal, and a self-contained HTML file."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from splatax.runs.budget import DEFAULT_BUDGET
 from splatax.training.recipes import default
 
 LENSES = 4  # lenses that are listed
+MOST = 300  # photos with pictures, which take 16 MB if all are noise
 
 
 def facts_of(found: Examination) -> list[tuple[str, str]]:
@@ -82,17 +83,12 @@ def verdict(problems: Sequence[Problem]) -> str:
 
 
 def capture_page(found: Examination, problems: Sequence[Problem]) -> str:
-    """Returns the page of a capture."""
-    blamed = " ".join(problem.what for problem in problems)
-    rows = [
-        {
-            "name": name,
-            "thumbnail": encoded(look.thumbnail, "image/jpeg") if look.thumbnail else "",
-            "measures": measures_of(look, found.errors.get(name)),
-            "bad": bool(look.unreadable) or name in blamed,
-        }
-        for name, look in found.looks.items()
-    ]
+    """Returns the page of a capture: pictures of at most `MOST` photos, and a table if there are more."""
+    bad = {name for problem in problems for name in problem.photos}
+    pictured = with_pictures([*found.looks], bad)
+    measures = {name: measures_of(look, found.errors.get(name)) for name, look in found.looks.items()}
+    rows = [{"name": name, "measures": each, "bad": name in bad} for name, each in measures.items()]
+    thumbnails = {name: found.looks[name].thumbnail for name in pictured}
     return fill(
         "capture.html",
         title=f"Capture {found.path.resolve().name}",
@@ -101,7 +97,26 @@ def capture_page(found: Examination, problems: Sequence[Problem]) -> str:
         problems=problems,
         plan=plan(found.dataset) if found.dataset else "",
         rows=rows,
+        columns=[label for label, _ in max(measures.values(), key=len, default=[])],
+        pictured=sorted((row for row in rows if row["name"] in pictured), key=lambda row: not row["bad"]),
+        thumbnails={name: encoded(jpeg, "image/jpeg") for name, jpeg in thumbnails.items() if jpeg},
     )
+
+
+def with_pictures(names: Sequence[str], bad: Container[str], most: int = MOST) -> set[str]:
+    """Returns the names of the photos that a page shows: those with problems first, then a spread of others.
+
+    Args:
+        names: of all photos that were examined, in order.
+        bad: names of the photos with problems.
+        most: number of photos to show, at most.
+    """
+    groups = [name for name in names if name in bad], [name for name in names if name not in bad]
+    chosen: set[str] = set()
+    for group in groups:
+        count = min(most - len(chosen), len(group))
+        chosen.update(group[i * len(group) // count] for i in range(count))
+    return chosen
 
 
 def measures_of(look: Look, error: float | None) -> list[tuple[str, str]]:

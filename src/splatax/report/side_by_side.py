@@ -17,7 +17,7 @@ from splatax.report.pictures import data_uri
 from splatax.runs.history import Picture
 
 COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f")
-CROP_SHARE = 1 / 5  # of the shorter side of a picture
+CROP_FRACTION = 1 / 5  # of the shorter side of a picture
 CROP_SHOWN = 360  # pixels that a crop is enlarged to, at least
 COLUMNS = 3  # of the faces of a 360-degree photo in one picture
 
@@ -120,7 +120,7 @@ def view_of(lineup: Lineup) -> dict[str, Any]:
 def most_different(images: Sequence[Picture], mask: Mask | None = None) -> tuple[int, int, int, int]:
     """Finds where pictures differ most: left, top, right and bottom of a square in them, pixels."""
     height, width = images[0].shape[:2]
-    side = max(1, round(min(height, width) * CROP_SHARE))
+    side = max(1, round(min(height, width) * CROP_FRACTION))
     spread = np.ptp(np.stack(images).astype(np.float64), axis=0).mean(axis=2)
     if mask is not None:
         spread = np.where(mask, spread, 0)

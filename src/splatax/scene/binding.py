@@ -30,13 +30,13 @@ def sampled(surface: Surface, count: int, seed: int = 0) -> Surface:
     # Equal steps along the summed areas spread the points more evenly than independent draws.
     steps = (np.arange(count) + rng.uniform(size=count)) / count
     chosen = np.searchsorted(np.cumsum(areas) / areas.sum(), steps).clip(0, len(areas) - 1)
-    shares = rng.dirichlet(np.ones(3), count)
+    corner_weights = rng.dirichlet(np.ones(3), count)
     triangle = surface.triangles[chosen]
     vertices, colors = (
-        np.einsum("pk,pkc->pc", shares, rows[triangle]) for rows in (surface.vertices, surface.colors)
+        np.einsum("pk,pkc->pc", corner_weights, rows[triangle]) for rows in (surface.vertices, surface.colors)
     )
     indices = surface.indices[triangle].reshape(count, -1)
-    weights = (shares[:, :, None] * surface.weights[triangle]).reshape(count, -1)
+    weights = (corner_weights[:, :, None] * surface.weights[triangle]).reshape(count, -1)
     merged = [_merged(indices[i : i + CHUNK], weights[i : i + CHUNK]) for i in range(0, count, CHUNK)]
     indices, weights = (np.concatenate(rows) for rows in zip(*merged, strict=True))
     return Surface(vertices, np.zeros((0, 3), np.int64), indices, weights, colors)

@@ -30,7 +30,7 @@ from splatax.web.staging import stage
 
 MAX_SH_DEGREE = 3  # highest degree that the viewer draws
 LOSES = (
-    "Positions are rounded to 24 bits, opacities, colours and scales to 8 bits, rotations to 10, SH to 7 "
+    "positions are rounded to 24 bits, opacities, colours and scales to 8 bits, rotations to 10, SH to 7 "
     "bits, clipped to -1 to 1."
 )
 # The demo loses 0.08 dB on its test photos. The usual sizes, (8, 16), lose 1.7 dB in 39 % fewer bytes; .sog

@@ -61,12 +61,12 @@ def blend_gradient(
     values = sum(
         chunk.rows[:, :, response.COLUMNS + c, None] * d_sums[:, None, c] for c in range(d_sums.shape[1])
     )
-    shares = lax.optimization_barrier(weights * values)
-    blended, total = running(jnp.add, shares, jnp.zeros_like(behind))
-    still_behind = behind[:, None] - blended - shares
+    contributions = lax.optimization_barrier(weights * values)
+    blended, total = running(jnp.add, contributions, jnp.zeros_like(behind))
+    still_behind = behind[:, None] - blended - contributions
     # A clamped alpha does not depend on the splat's shape.
     flexible = (weights > 0) & (raw <= MAX_ALPHA)
-    g = jnp.where(flexible, shares - alphas / (1 - alphas) * still_behind, 0)
+    g = jnp.where(flexible, contributions - alphas / (1 - alphas) * still_behind, 0)
     g = lax.optimization_barrier(g)
 
     d_channels = jnp.einsum("bkp,bcp->bkc", weights, d_sums, precision="highest")

@@ -5,7 +5,7 @@ Those that are not in `READ_ONLY` also have
 
     save(path, gaussians, comments=)
     MAX_SH_DEGREE    the highest SH degree that the format can hold
-    LOSES            one sentence that says which precision saving loses
+    LOSES            what saving loses, as the sentence goes on after "loses: "
     KEPT_MARKS       the marks of a scene's filter that the file keeps
     TOLERANCE        the largest error of each number after saving and loading
 

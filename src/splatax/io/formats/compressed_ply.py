@@ -32,7 +32,7 @@ LARGEST_LOG_SCALE = 20.0  # clipped: a few absurd ones would stretch the range o
 
 MAX_SH_DEGREE = 3
 LOSES = (
-    "Positions, scales and colours are rounded to 8 to 11 bits within each chunk of 256, "
+    "positions, scales and colours are rounded to 8 to 11 bits within each chunk of 256, "
     "higher SH to steps of 1/32 within -4 to 4; the order changes."
 )
 KEPT_MARKS = MARKS

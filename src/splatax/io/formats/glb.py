@@ -41,7 +41,7 @@ PROPERTIES = {  # of the extension, as this engine draws splats
 HARMONICS = f"{EXTENSION}:"  # before the names of harmonics as every reader draws them
 
 MAX_SH_DEGREE = 3
-LOSES = "Only rounding: opacities and scales are stored as such, not as logits and logarithms."
+LOSES = "only rounding: opacities and scales are stored as such, not as logits and logarithms."
 KEPT_MARKS = MARKS
 TOLERANCE = Tolerance(degrees=1e-3, log_scales=1e-5, opacities=1e-6)
 

@@ -34,7 +34,7 @@ ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
 
 FLAT = np.float32(LEAST_LOG_SCALE)  # third log scale of exactly flat discs
 MAX_SH_DEGREE = 4
-LOSES = "Nothing: every number is kept, bit by bit."
+LOSES = "nothing: every number is kept, bit by bit."
 KEPT_MARKS = MARKS
 TOLERANCE = Tolerance()
 

@@ -39,7 +39,7 @@ LARGEST_ROTATION = 252  # in channel A of quats: 252 to 255 for w, x, y, z
 
 MAX_SH_DEGREE = 3
 LOSES = (
-    "Positions are rounded to 16 bits, rotations, opacities, scales and colours to 8; higher SH is taken "
+    "positions are rounded to 16 bits, rotations, opacities, scales and colours to 8; higher SH is taken "
     "from a palette of at most 65,536 entries; the order changes."
 )
 KEPT_MARKS = MARKS

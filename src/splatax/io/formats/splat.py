@@ -21,7 +21,7 @@ ROW = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("qu
 
 MAX_SH_DEGREE = 4  # accepted degree; only the first coefficient is written
 LOSES = (
-    "All view dependence (SH above degree 0); colours and opacities are rounded to 8 bits and clipped "
+    "all view dependence (SH above degree 0); colours and opacities are rounded to 8 bits and clipped "
     "to 0-1, rotations to 8 bits; the order changes."
 )
 KEPT_MARKS: tuple[str, ...] = ()

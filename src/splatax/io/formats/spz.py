@@ -45,7 +45,7 @@ BUCKETS = (8, 16)  # levels merged into one, for SH degree 1 and for higher ones
 
 MAX_SH_DEGREE = 4
 LOSES = (
-    "Positions are rounded to 24 bits, opacities, colours and scales to 8 bits, rotations to 10; higher SH "
+    "positions are rounded to 24 bits, opacities, colours and scales to 8 bits, rotations to 10; higher SH "
     "to 5 bits (degree 1) and 4 bits, clipped to -1 to 1; log scales are clipped to -10 to 5.9."
 )
 KEPT_MARKS = (MIP, PLAIN)

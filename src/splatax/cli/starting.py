@@ -24,8 +24,14 @@ from splatax.training.loop import RunState
 from splatax.training.recipes import Recipe
 
 MAY_CHANGE = {  # on resuming
-    "scene", "points", "judged_by", "title", "memory", "checkpoint_every", "checkpoint_steps",
-}  # fmt: skip
+    "scene",
+    "points",
+    "judged_by",
+    "title",
+    "memory",
+    "checkpoint_every",
+    "checkpoint_steps",
+}
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,9 @@ from splatax.cli.output import say
 from splatax.cli.settings import Settings
 from splatax.cli.stages import Stages
 from splatax.dataset import View, photos_by, photos_in, without
-from splatax.inspection import problems_of_cameras, problems_of_points, surveyed
 from splatax.inspection.decisions import FEW, LARGEST_FRACTION, LOOKING, Findings, look_first
+from splatax.inspection.examination import surveyed
+from splatax.inspection.problems import problems_of_cameras, problems_of_points
 from splatax.io.datasets.photos import counted, listed
 from splatax.io.datasets.points import read_points, write_points
 from splatax.reconstruction import bundle, triangulation

@@ -2,9 +2,6 @@
 
 from splatax.inspection.examination import Examination as Examination
 from splatax.inspection.examination import examine as examine
-from splatax.inspection.examination import surveyed as surveyed
 from splatax.inspection.pace import seconds_to_train as seconds_to_train
 from splatax.inspection.problems import Problem as Problem
 from splatax.inspection.problems import problems_of as problems_of
-from splatax.inspection.problems import problems_of_cameras as problems_of_cameras
-from splatax.inspection.problems import problems_of_points as problems_of_points

@@ -270,6 +270,25 @@ def test_the_time_of_training_is_shared_between_the_trial_and_the_scene(stages, 
     assert 5 * seconds[0] < seconds[1] <= 60
 
 
+def test_the_default_time_of_training_is_said_with_the_option_that_overrides_it(
+    stages, photos, tmp_path, capsys
+):
+    line = "training for 10min in all. Choose another time: --budget"
+    cli.main(["create", str(photos), "--out", str(tmp_path / "a")])
+    assert line in capsys.readouterr().out
+    cli.main(["create", str(photos), "--out", str(tmp_path / "b"), "--budget", "10min"])
+    assert "training for" not in capsys.readouterr().out
+
+
+def test_without_a_plan_the_steps_of_the_trial_are_said_and_training_chooses_those_of_the_scene(
+    stages, photos, tmp_path, capsys
+):
+    cli.main(["create", str(photos), "--out", str(tmp_path / "out"), "--recipe", "2dgs"])
+    assert [run.limits.steps for run in stages.runs] == [5_000, None]
+    line = "5,000 steps, a sixth of those of the scene. Choose another number: --steps"
+    assert line in capsys.readouterr().out
+
+
 def test_a_run_named_as_judge_makes_a_trial_unnecessary(stages, photos, tmp_path):
     cli.main(["create", str(photos), "--out", str(tmp_path / "out"), "--judged-by", "earlier"])
     assert stages == ["reconstruct", "train", "page"]

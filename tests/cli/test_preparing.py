@@ -5,15 +5,18 @@ from dataclasses import replace
 
 import jax
 import numpy as np
+import pycolmap
 import pytest
 from numpy.testing import assert_array_equal
 from test_refusals import refused
 
 import splatax as sx
-from captures import POINTS, write_capture, write_llff, write_transforms
+from captures import POINTS, write_blender, write_capture, write_llff, write_transforms
 from splatax import cli
 from splatax.cli import preparing, train
+from splatax.cli.planning import with_default_steps
 from splatax.cli.settings import Settings
+from splatax.cli.starting import tell_equal_weights, with_background
 from splatax.dataset import PointCloud
 from splatax.errors import FormatError
 from splatax.inspection.decisions import Findings
@@ -82,17 +85,22 @@ def test_points_of_ones_own_are_started_from(tmp_path, capsys):
 
 
 def test_every_decision_is_said_with_the_option_that_overrides_it(tmp_path, monkeypatch, capsys):
-    findings = Findings(("photo01.png",), {"photo02.png": "photo03.png"}, 0.31, 9)
+    findings = Findings(("photo01.png",), ("photo04.png",), {"photo02.png": "photo03.png"}, 0.31, 7, 9)
     monkeypatch.setattr(preparing, "look_first", lambda _: findings)
+    monkeypatch.setattr(preparing, "warn_of_problems", lambda *_: None)
     capture = write_capture(tmp_path / "capture")
     settings, dataset = prepared(capture, tmp_path)
     assert settings.leave_out == "photo01.png\nphoto02.png\n"
     assert settings.appearance == "exposure"
     assert len(dataset.train) == 6
     assert capsys.readouterr().out.splitlines() == [
+        "examined 7 of 9 photos in 5 s: the others stay in training, and exposure is judged without them. "
+        "Decide yourself: --leave-out LIST, --appearance",
         "left out of training, blurred compared with the rest: photo01.png. Use all photos: --leave-out none",
         "left out of training, the same photo as another: photo02.png (as photo03.png). Use all photos: "
         "--leave-out none",
+        "blurred compared with the rest, but used: photo04.png (at most 20% are left out, and none of 15 "
+        "photos or fewer). Leave them out: --leave-out LIST",
         "exposure differs between photos by 0.31 stops (standard deviation), so it is compensated for. Turn "
         "that off: --appearance none",
     ]
@@ -102,6 +110,60 @@ def test_every_decision_is_said_with_the_option_that_overrides_it(tmp_path, monk
     overridden, dataset = prepared(capture, tmp_path, leave_out="none", appearance="none")
     assert (overridden.leave_out, overridden.appearance, len(dataset.train)) == ("none", "none", 8)
     assert not capsys.readouterr().out
+
+
+def test_problems_of_the_cameras_are_said_before_training(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(preparing, "look_first", lambda _: Findings())
+    capture = write_capture(tmp_path / "capture", count=24)
+    model = pycolmap.Reconstruction(capture / "sparse" / "0")
+    for point in model.find_image_with_name("photo05.png").points2D:
+        point.xy = point.xy + [3, 4]
+    model.write_binary(capture / "sparse" / "0")
+    prepared(capture, tmp_path)
+    placed, points = capsys.readouterr().out.splitlines()
+    assert placed.startswith("warning: 1 photo is placed worse than the rest: photo05.png. Remove them")
+    assert points.startswith("warning: Only 30 points to start from. Find more with detail high of")
+    prepared(capture, tmp_path, init="random", leave_out="photo05.png")
+    assert "warning" not in capsys.readouterr().out  # neither the photo nor the points are used
+
+
+def test_a_sound_capture_is_not_warned_of(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(preparing, "look_first", lambda _: Findings(seen=24, photos=24))
+    many = PointCloud(np.repeat(FOUND.positions, 5, axis=0), np.repeat(FOUND.colors, 5, axis=0))
+    write_points(tmp_path / "points.ply", many)
+    prepared(write_capture(tmp_path / "capture", count=24), tmp_path, points=tmp_path / "points.ply")
+    assert capsys.readouterr() == ("", "")
+
+
+def test_the_background_of_a_capture_is_said_with_the_option_that_overrides_it(tmp_path, capsys):
+    dataset = sx.load_dataset(write_blender(tmp_path / "capture"))
+    assert with_background(Settings(), dataset).background == "white"
+    line = "background: white, the convention of Blender's captures. Change it: --background\n"
+    assert capsys.readouterr().out == line
+    assert with_background(Settings(background="random"), dataset).background == "random"
+    assert with_background(Settings(), replace(dataset, background=None)).background is None
+    assert not capsys.readouterr().out
+
+
+def test_equal_weights_of_few_photos_are_said_with_the_option_that_overrides_them(tmp_path, capsys):
+    few = preparing.loaded(Settings(write_capture(tmp_path / "few")))
+    many = preparing.loaded(Settings(write_capture(tmp_path / "many", count=20)))
+    tell_equal_weights(Settings(), few)
+    assert capsys.readouterr().out == (
+        "with only 8 training photos, those that do not fit the others keep their weight. Reduce it: "
+        "--photo-weights robust\n"
+    )
+    tell_equal_weights(Settings(), many)
+    tell_equal_weights(Settings(photo_weights="equal"), few)
+    tell_equal_weights(Settings(recipe="classic"), few)  # which never weighs photos by default
+    assert not capsys.readouterr().out
+
+
+def test_the_default_number_of_steps_is_said_with_the_option_that_overrides_it(tmp_path, capsys):
+    dataset = preparing.loaded(Settings(write_capture(tmp_path / "capture")))
+    assert with_default_steps(Settings(recipe="classic"), dataset).steps == 30_000
+    line = "30,000 steps, 3,750 for each of 8 photos. Choose another number: --steps\n"
+    assert capsys.readouterr().out == line
 
 
 def test_if_most_photos_would_be_left_out_all_are_used(tmp_path, monkeypatch, capsys):

@@ -66,9 +66,31 @@ def test_blurred_photos_are_left_out_unless_there_are_few(plain, tmp_path, monke
     names = [plain.train[2].name, plain.test[1].name]
     blurred = changed(plain, tmp_path, dict.fromkeys(names, lambda p: ndimage.gaussian_filter(p, (3, 3, 0))))
     monkeypatch.setattr(decisions, "FEW", 10)
-    assert look_first(blurred).blurred == (names[0],)  # a held-out one is not trained on anyway
+    found = look_first(blurred)
+    assert (found.blurred, found.kept) == ((names[0],), ())  # a held-out one is not trained on anyway
     monkeypatch.setattr(decisions, "FEW", PHOTOS)
-    assert not look_first(blurred).blurred
+    found = look_first(blurred)
+    assert (found.blurred, found.kept) == ((), (names[0],))
+
+
+def test_the_least_blurred_photos_above_a_fifth_are_kept_and_named():
+    levels = {f"{i:02}.jpg": 100.0 + i for i in range(16)} | {f"{i:02}.jpg": 2.0 + i for i in range(16, 20)}
+    levels["20.jpg"] = 1.0
+    sights = [
+        Sight(sx.View(name, CAMERA, lambda: BLACK), Look(sharpness=level), np.zeros((24, 32)), np.zeros(0))
+        for name, level in levels.items()
+    ]
+    spared, kept = decisions.blurred_of(sights)
+    assert spared == ("16.jpg", "17.jpg", "18.jpg", "20.jpg")
+    assert kept == ("19.jpg",)
+
+
+def test_photos_that_there_is_no_time_for_are_counted(plain, monkeypatch):
+    found = look_first(plain)
+    assert (found.seen, found.photos) == (PHOTOS, PHOTOS)
+    monkeypatch.setattr(decisions, "LOOKING", 0.0)
+    found = look_first(plain)
+    assert (found.seen, found.photos) == (0, PHOTOS)
 
 
 def test_photos_that_repeat_another_are_left_out_above_all_those_of_held_out_ones(plain):
@@ -97,11 +119,11 @@ def test_a_face_without_detail_does_not_make_a_panorama_blurred():
         for photo in range(PHOTOS)
         for face in ("front", "right", "back", "left", "up", "down")
     ]
-    assert decisions.blurred_of(sharp) == ()
+    assert decisions.blurred_of(sharp) == ((), ())
     blurred = [
         replace(each, look=Look(sharpness=2.0)) if each.view.photo == "05.jpg" else each for each in sharp
     ]
-    assert decisions.blurred_of(blurred) == ("05.jpg",)
+    assert decisions.blurred_of(blurred) == (("05.jpg",), ())
 
 
 def test_a_panorama_repeats_another_only_if_all_of_its_faces_do():

@@ -21,6 +21,7 @@ from splatax.cli.planning import with_default_steps
 from splatax.cli.preparing import loaded, prepared
 from splatax.cli.settings import NAMES, Settings
 from splatax.cli.stages import Stages
+from splatax.cli.starting import with_background
 from splatax.cli.train_options import Count, Method, Photos
 from splatax.dataset import Dataset
 from splatax.errors import InputError
@@ -83,9 +84,7 @@ class PlanBlocks:
             for note in dataset.notes:
                 say(note)
             settings, dataset = prepared(settings, dataset, self.out)
-            settings = replace(
-                settings, background=settings.background or dataset.background, adjust_cameras="none"
-            )
+            settings = replace(with_background(settings, dataset), adjust_cameras="none")
             if self.steps is None:
                 settings = with_default_steps(settings, dataset)
             work = Work(settings.most(dataset), settings.steps)

@@ -19,7 +19,7 @@ from splatax.cli.reconstruct import FindingCameras, Reconstruct
 from splatax.cli.settings import NAMES, Settings
 from splatax.cli.train import Train, limited
 from splatax.cli.train_options import Devices, Limits, Live, Method, Photos, Rerun, Saving
-from splatax.dataset import photos_in
+from splatax.dataset import Dataset, photos_in
 from splatax.errors import InputError
 from splatax.io.datasets import is_capture
 from splatax.io.datasets.photos import counted
@@ -28,7 +28,7 @@ from splatax.runs.budget import duration, parse_seconds
 from splatax.runs.checkpoints import files
 from splatax.runs.claim import claimed
 from splatax.runs.records import as_json, read_record, typed_fields, understood, write_json
-from splatax.training.recipes import PRESETS
+from splatax.training.recipes import PRESETS, steps_for
 
 ORDER = "create.json"  # in OUT, once there is a capture: the input of the remaining stages
 BUDGET = "10min"  # by default
@@ -94,6 +94,8 @@ class Create:
         if files(out) and not self.overwrite:
             self.finish(out)
             return
+        if self.settings().budget and not self.limits.budget:
+            say(f"training for {BUDGET} in all. Choose another time: --budget, or a number of steps: --steps")
         photos, method = self.start(capture)
         run = Train(
             capture,
@@ -135,8 +137,11 @@ class Create:
             return None
         unseen = f"{photos_in(dataset.test)} of {counted(photos_in(dataset.views))}"
         say(f"trial run without {unseen}, which tell how good a scene of these photos is")
-        title = f"{self.named()}, trial run"
-        replace(run, out=trial, title=title, limits=self.left(began, TRIAL), live=Live()).run()
+        title, limits = f"{self.named()}, trial run", self.left(began, TRIAL)
+        if self.steps_by_default:
+            limits = replace(limits, steps=self.trial_steps(dataset))
+            say(f"{limits.steps:,} steps, a sixth of those of the scene. Choose another number: --steps")
+        replace(run, out=trial, title=title, limits=limits, live=Live()).run()
         self.stop_if_stopped(trial)
         return trial
 
@@ -153,11 +158,21 @@ class Create:
         if limits.within is not None:
             end = began + parsed("within", limits.within, parse_seconds) - PAGE_SECONDS
             return replace(limits, within=f"{max(fraction * (end - time.monotonic()), 1.0):.0f}s")
-        default = None if self.plannable else -(-Settings.steps // (self.devices.views or 1))
-        if (steps := limits.steps or default) is not None:
-            return replace(limits, steps=max(round(steps * fraction), 1))
+        if limits.steps is not None:
+            return replace(limits, steps=max(round(limits.steps * fraction), 1))
+        if self.steps_by_default:
+            return limits
         seconds = parsed("budget", limits.budget or BUDGET, parse_seconds)
         return replace(limits, budget=f"{part * seconds:g}s")
+
+    def trial_steps(self, dataset: Dataset) -> int:
+        """Returns the number of steps of a trial run where none is given.
+
+        Args:
+            dataset: the capture, of which the scene is trained on all photos.
+        """
+        steps = -(-steps_for(replace(dataset, train=dataset.views)) // (self.devices.views or 1))
+        return max(round(TRIAL * steps), 1)
 
     def finish(self, run: Path) -> None:
         """Resumes a run that was stopped.
@@ -239,6 +254,11 @@ class Create:
     def plannable(self) -> bool:
         """True if the steps of the recipe can be planned for a time."""
         return (self.devices.views or 1) == 1 and PRESETS[self.method.recipe or Settings.recipe].plannable
+
+    @property
+    def steps_by_default(self) -> bool:
+        """True if `train` chooses the number of steps by the number of photos."""
+        return not self.plannable and self.limits.steps is None
 
     def settings(self) -> Settings:
         """Returns the settings of a run with the given options.

@@ -117,14 +117,14 @@ def planned_by_time(
 
 
 def with_default_steps(settings: Settings, dataset: sx.Dataset) -> Settings:
-    """Returns settings with the default number of steps, and prints it with several views or above 30,000."""
+    """Returns settings with the default number of steps, and prints it."""
     seen, choose = steps_for(dataset), "Choose another number: --steps"
     steps = -(-seen // settings.views)
     if settings.views > 1:
         say(f"{steps:,} steps of {counted(settings.views)}, {seen:,} photos in all. {choose}")
-    elif steps > settings.steps:
+    else:
         count = photos_in(dataset.train)
-        say(f"{steps:,} steps, {steps // count} for each of {counted(count)}. {choose}")
+        say(f"{steps:,} steps, {steps // count:,} for each of {counted(count)}. {choose}")
     return replace(settings, steps=steps)
 
 

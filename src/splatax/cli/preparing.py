@@ -11,7 +11,9 @@ from splatax.cli.output import say
 from splatax.cli.settings import Settings
 from splatax.cli.stages import Stages
 from splatax.dataset import View, photos_by, photos_in, without
-from splatax.inspection.decisions import Findings, look_first
+from splatax.inspection.decisions import FEW, LARGEST_FRACTION, LOOKING, Findings, look_first
+from splatax.inspection.examination import surveyed
+from splatax.inspection.problems import problems_of_cameras, problems_of_points
 from splatax.io.datasets.photos import counted, listed
 from splatax.io.datasets.points import read_points, write_points
 from splatax.reconstruction import bundle, triangulation
@@ -64,9 +66,10 @@ def loaded(settings: Settings, downscale: int | None = None) -> sx.Dataset:
 def prepared(settings: Settings, dataset: sx.Dataset, out: Path) -> tuple[Settings, sx.Dataset]:
     """Examines the photos, and returns settings and capture; prints each decision in one line.
 
-    Adjusts cameras if requested, finds points if the capture has none, leaves out blurred and repeated
-    photos, and compensates for uneven exposure. The settings that are returned record the decisions, so a run
-    that is resumed or repeated takes them over.
+    Warns of problems of the capture that are known without its photos. Adjusts cameras if requested, finds
+    points if the capture has none, leaves out blurred and repeated photos, and compensates for uneven
+    exposure. The settings that are returned record the decisions, so a run that is resumed or repeated takes
+    them over.
 
     Args:
         settings: of the run; only what they leave open is decided.
@@ -75,6 +78,7 @@ def prepared(settings: Settings, dataset: sx.Dataset, out: Path) -> tuple[Settin
     """
     if settings.city:
         return settings, dataset  # all is decided for all blocks at once
+    warn_of_problems(settings, dataset)
     if settings.refine != "none":
         check_lenses(settings.refine, dataset.train)
     if settings.adjust_cameras != "none":
@@ -86,11 +90,27 @@ def prepared(settings: Settings, dataset: sx.Dataset, out: Path) -> tuple[Settin
     if "auto" not in (settings.leave_out, settings.appearance):
         return settings, dataset
     findings = look_first(dataset)
+    if findings.seen < findings.photos:
+        say(
+            f"examined {findings.seen} of {counted(findings.photos)} in {LOOKING:.0f} s: the others stay in "
+            "training, and exposure is judged without them. Decide yourself: --leave-out LIST, --appearance"
+        )
     if settings.leave_out == "auto":
         settings, dataset = without_spared(settings, dataset, findings)
     if settings.appearance == "auto":
         settings = with_exposure(settings, findings)
     return settings, dataset
+
+
+def warn_of_problems(settings: Settings, dataset: sx.Dataset) -> None:
+    """Prints a warning for each problem of the capture that is known without a look at its photos."""
+    assert settings.scene
+    known = surveyed(settings.scene, dataset)
+    problems = problems_of_cameras(known)
+    if settings.init == "sfm" and len(dataset.points):
+        problems += problems_of_points(known)
+    for problem in problems:
+        say(f"warning: {problem.what} {problem.fix}")
 
 
 def with_adjusted_cameras(settings: Settings, dataset: sx.Dataset, out: Path) -> tuple[Settings, sx.Dataset]:
@@ -137,7 +157,7 @@ def without_spared(
         names, lines = [], []
         say("most photos are blurred or repeat another, so all are used. Leave some out: --leave-out LIST")
     for line in lines:
-        say(f"{line}. Use all photos: --leave-out none")
+        say(line)
     leave_out = "".join(f"{name}\n" for name in names) or "none"
     return replace(settings, leave_out=leave_out), without(dataset, names)
 
@@ -154,15 +174,21 @@ def with_exposure(settings: Settings, findings: Findings) -> Settings:
 
 
 def spared_by(findings: Findings) -> tuple[list[str], list[str]]:
-    """Returns the photos to leave out of training, and why, as lines."""
-    lines = []
+    """Returns the photos to leave out of training, and lines about these and about blurred ones that stay."""
+    lines, way_out = [], "Use all photos: --leave-out none"
     repeated = sorted(findings.repeated)
     blurred = [name for name in findings.blurred if name not in repeated]
+    kept = [name for name in findings.kept if name not in repeated]
     if blurred:
-        lines.append(f"left out of training, blurred compared with the rest: {listed(blurred)}")
+        lines.append(f"left out of training, blurred compared with the rest: {listed(blurred)}. {way_out}")
     if repeated:
         pairs = (f"{name} (as {findings.repeated[name]})" for name in repeated)
-        lines.append(f"left out of training, the same photo as another: {listed(pairs)}")
+        lines.append(f"left out of training, the same photo as another: {listed(pairs)}. {way_out}")
+    if kept:
+        lines.append(
+            f"blurred compared with the rest, but used: {listed(kept)} (at most {LARGEST_FRACTION:.0%} are "
+            f"left out, and none of {FEW} photos or fewer). Leave them out: --leave-out LIST"
+        )
     return sorted([*blurred, *repeated]), lines
 
 

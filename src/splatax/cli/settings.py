@@ -175,8 +175,13 @@ class Settings:
         """
         if self.photo_weights != "auto":
             return self.photo_weights
-        enough = photos_in(dataset.train) >= FEWEST_TO_WEIGH
-        return "robust" if enough and PRESETS[self.recipe].weighs_photos else "equal"
+        weighs = PRESETS[self.recipe].weighs_photos and not self.too_few_to_weigh(dataset)
+        return "robust" if weighs else "equal"
+
+    def too_few_to_weigh(self, dataset: sx.Dataset) -> bool:
+        """Returns whether photos have equal weights only because the capture has few training photos."""
+        by_default = self.photo_weights == "auto" and PRESETS[self.recipe].weighs_photos
+        return by_default and photos_in(dataset.train) < FEWEST_TO_WEIGH
 
     def initialization(self) -> Initialization:
         """Returns how the first Gaussians are created."""

@@ -13,8 +13,9 @@ from splatax.cli.output import say
 from splatax.cli.planning import drawn_here, planned, with_default_steps
 from splatax.cli.preparing import prepared
 from splatax.cli.settings import Settings
-from splatax.dataset import Dataset
+from splatax.dataset import Dataset, photos_in
 from splatax.errors import InputError
+from splatax.io.datasets.photos import counted
 from splatax.io.memory import decoding
 from splatax.runs.budget import Expected
 from splatax.runs.history import History
@@ -132,6 +133,7 @@ class NewRun(Run):
         """Examines the photos, and plans steps and Gaussians."""
         settings, dataset = prepared(self.settings, dataset, self.out)
         settings = with_background(settings, dataset)
+        tell_equal_weights(settings, dataset)
         room = memory_for(settings, dataset)
         if not (settings.budget or self.steps_given):
             settings = with_default_steps(settings, dataset)
@@ -198,8 +200,21 @@ class ResumedRun(Run):
 
 
 def with_background(settings: Settings, dataset: Dataset) -> Settings:
-    """Returns settings with the background of the capture unless they name one."""
-    return replace(settings, background=settings.background or dataset.background)
+    """Returns settings with the background of the capture unless they name one; prints it."""
+    if settings.background or not dataset.background:
+        return settings
+    say(f"background: {dataset.background}, the convention of Blender's captures. Change it: --background")
+    return replace(settings, background=dataset.background)
+
+
+def tell_equal_weights(settings: Settings, dataset: Dataset) -> None:
+    """Prints if photos have equal weights only because there are few of them."""
+    if settings.too_few_to_weigh(dataset):
+        only = counted(photos_in(dataset.train), "training photo")
+        say(
+            f"with only {only}, those that do not fit the others keep their weight. Reduce it: "
+            "--photo-weights robust"
+        )
 
 
 def memory_for(settings: Settings, dataset: Dataset) -> Room:

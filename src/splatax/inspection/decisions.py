@@ -20,7 +20,7 @@ from splatax.inspection.looks import (
     robust_scores,
     spread,
 )
-from splatax.inspection.problems import LEAST_SHARPNESS, OUTLIER
+from splatax.inspection.problems import FEWEST_TO_COMPARE, LEAST_SHARPNESS, OUTLIER
 from splatax.io import images
 from splatax.resampling import resize
 
@@ -45,15 +45,19 @@ class Findings:
 
     Attributes:
         blurred: training photos that are blurred, compared with the rest, and can be spared.
+        kept: other training photos that are as blurred, but cannot be spared.
         repeated: training photos that show the same from the same place as another, with that one's name.
         exposure: standard deviation of the photos' exposure, in stops; None if it cannot be measured.
         seen: number of photos that were examined in the time.
+        photos: number of photos that there were to examine.
     """
 
     blurred: tuple[str, ...] = ()
+    kept: tuple[str, ...] = ()
     repeated: dict[str, str] = field(default_factory=dict)
     exposure: float | None = None
     seen: int = 0
+    photos: int = 0
 
     @property
     def uneven(self) -> bool:
@@ -91,11 +95,14 @@ def look_first(dataset: Dataset) -> Findings:
     points = dataset.points.positions[chosen].astype(np.float64)
     sights = list(sights_of(dataset, points, time.monotonic() + LOOKING))
     training = {view.name for view in dataset.train}
+    blurred, kept = blurred_of([sight for sight in sights if sight.view.name in training])
     return Findings(
-        blurred_of([sight for sight in sights if sight.view.name in training]),
+        blurred,
+        kept,
         repeated_photos(sights, repeated_of(sights, training, dataset.extent)),
         exposure_of([sight.samples for sight in sights]),
         photos_in(sight.view for sight in sights),
+        photos_in(view for view in dataset.views if view.name in dataset.survey.files),
     )
 
 
@@ -166,16 +173,17 @@ def exposure_of(samples: Sequence[Float[np.ndarray, " n"]]) -> float | None:
     return float(exposures.std())
 
 
-def blurred_of(sights: Sequence[Sight]) -> tuple[str, ...]:
-    """Returns the photos that are much less sharp than the others, if there are enough others."""
+def blurred_of(sights: Sequence[Sight]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Returns the photos that are much less sharp than the others: those that can be spared, and the rest."""
     # A face of a 360-degree photo may show nothing but a ceiling: its sharpness is the mean of its faces.
     looks = by_photo((s.view for s in sights), {s.view.name: s.look.sharpness for s in sights})
-    if len(looks) <= FEW:
-        return ()
+    if len(looks) < FEWEST_TO_COMPARE:
+        return (), ()
     names, sharpness = list(looks), np.log([max(float(np.mean(each)), 1e-3) for each in looks.values()])
     scores = robust_scores(sharpness, LEAST_SHARPNESS)
     found = [names[i] for i in np.argsort(scores) if scores[i] < -OUTLIER]
-    return tuple(sorted(found[: int(LARGEST_FRACTION * len(names))]))
+    spared = 0 if len(looks) <= FEW else int(LARGEST_FRACTION * len(names))
+    return tuple(sorted(found[:spared])), tuple(sorted(found[spared:]))
 
 
 def repeated_of(sights: Sequence[Sight], training: set[str], extent: float) -> dict[str, str]:

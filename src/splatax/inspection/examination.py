@@ -1,7 +1,7 @@
 """Measurements of a capture before training."""
 
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -79,7 +79,7 @@ def examine(path: Path, dataset: Dataset | None) -> Examination:
             wide=tuple(photo.name for photo in headers if photo.wide),
             unused=unused,
         )
-    survey, around = dataset.survey, [view for view in dataset.views if whole_sphere(view)]
+    known, survey = surveyed(path, dataset), dataset.survey
     masked = [view for view in dataset.views if view.mask]
     coverage, bad_masks = {}, {}
     for view in masked[:: -(-len(masked) // MASKS) or 1]:
@@ -91,24 +91,38 @@ def examine(path: Path, dataset: Dataset | None) -> Examination:
     gaussians = room_for(dataset)
     width, height, photos_bytes = forecast.photos(dataset)
     in_memory = min(photos_bytes, room_within(None, dataset, 0).photos)
-    return Examination(
-        path,
-        dataset,
-        {view.photo: survey.files[view.name] for view in dataset.standpoints if view.name in survey.files},
-        {
+    return replace(
+        known,
+        looks={
             name: looks[0] if len(looks) == 1 else joined(looks)
             for name, looks in by_photo(dataset.views, looks_of(survey.files, LOOKING)).items()
         },
-        {
-            name: float(np.median(np.concatenate(errors)))
-            for name, errors in by_photo(dataset.views, survey.errors).items()
-        },
-        tuple(dict.fromkeys(view.photo for view in around)),
         coverage=coverage,
         bad_masks=bad_masks,
         gaussians=gaussians,
         memory=forecast.memory(gaussians, width, height, round(in_memory)),
         available=available_memory(),
+    )
+
+
+def surveyed(path: Path, dataset: Dataset) -> Examination:
+    """Returns the measurements of a capture that need no look at its photos.
+
+    Args:
+        path: path of the capture.
+        dataset: the capture.
+    """
+    files = dataset.survey.files
+    return Examination(
+        path,
+        dataset,
+        {view.photo: files[view.name] for view in dataset.standpoints if view.name in files},
+        looks={},
+        errors={
+            name: float(np.median(np.concatenate(errors)))
+            for name, errors in by_photo(dataset.views, dataset.survey.errors).items()
+        },
+        panoramas=tuple(dict.fromkeys(view.photo for view in dataset.views if whole_sphere(view))),
     )
 
 

@@ -1,6 +1,6 @@
 """Finds the problems of a capture, and suggests a fix for each."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -12,6 +12,7 @@ from splatax.inspection.looks import Look, robust_scores
 from splatax.io.datasets.photos import counted, listed
 
 FEW_VIEWS = 20
+FEWEST_TO_COMPARE = 5  # photos of which one can be called an outlier
 OUTLIER = 3.5  # robust standard deviations (Iglewicz and Hoaglin 1993)
 LEAST_EXPOSURE, LEAST_SHARPNESS = 0.15, 0.25  # standard deviations of log2 luminance and of log sharpness
 DARK, MUCH_WHITE = 0.08, 0.2  # mean luminance; fraction of white pixels
@@ -43,6 +44,23 @@ class Problem:
 def problems_of(found: Examination) -> list[Problem]:
     """Returns all problems, errors first."""
     checks = (poses, number, shape, registration, placement, errors, photos, others, masks, points, memory)
+    return errors_first(found, checks)
+
+
+def problems_of_cameras(found: Examination) -> list[Problem]:
+    """Returns the problems of the number of photos and of their cameras, errors first."""
+    return errors_first(found, (number, registration, placement, errors))
+
+
+def problems_of_points(found: Examination) -> list[Problem]:
+    """Returns the problems of the points of a capture."""
+    return errors_first(found, (points,))
+
+
+def errors_first(
+    found: Examination, checks: Sequence[Callable[[Examination], Iterator[Problem]]]
+) -> list[Problem]:
+    """Returns the problems that the checks find, errors first."""
     problems = [problem for check in checks for problem in check(found)]
     return sorted(problems, key=lambda problem: problem.severity != "error")
 
@@ -180,7 +198,7 @@ def are(names: list[str]) -> str:
 
 def outliers(names: list[str], values: Float[np.ndarray, " n"], floor: float, sign: int) -> list[str]:
     """Returns the names whose values are outliers on one side (sign +1 or -1)."""
-    if len(names) < 5:
+    if len(names) < FEWEST_TO_COMPARE:
         return []
     scores = sign * robust_scores(values, floor)
     return [name for name, score in zip(names, scores, strict=True) if score > OUTLIER]

@@ -57,9 +57,9 @@ class Surfaces:
         spread: weight of the standard deviation of inverse depth along each ray, relative to its mean.
         consistency: weight of 1 minus the cosine between the Gaussians' normals and that of the depth image
             (Huang et al. 2024, Eq. 14).
-        points: weight of the relative depth error at landmarks.
+        points: weight of the relative error of inverse depth at landmarks.
         spread_limit: spread to which a larger one tends in the penalty, see `saturated`.
-        points_limit: relative error to which a larger one tends in the penalty.
+        points_limit: relative error of inverse depth to which a larger one tends in the penalty.
         after: fraction of the run, below 1, before which the penalties are zero. They grow from there to
             their weights within a tenth of the run, or until its end.
 

@@ -27,18 +27,20 @@ SPLATAX_INLINE Lanes held(Lanes a) {
 struct Directions {
   const Direction2d* of;
   int count;
+  int together;  // of `together_of`
   Part part;
 
   // Channels of a row: RGB, or whole groups, padded with zeros.
   int channels() const { return part.size == 3 ? 3 : std::max((part.size + GROUP - 1) / GROUP, 1) * GROUP; }
-  // Whether their derivatives are next to each other in one image.
-  bool adjacent() const {
-    for (int k = 1; k < count; ++k) {
-      if (of[k].alpha != of[0].alpha || of[k].number != of[0].number + k) return false;
-    }
-    return true;
-  }
 };
+
+// The number of directions to write at a time: all, if their derivatives are next to each other in one image, else one.
+int together_of(const Direction2d* directions, int count) {
+  for (int k = 1; k < count; ++k) {
+    if (directions[k].alpha != directions[0].alpha || directions[k].number != directions[0].number + k) return 1;
+  }
+  return count;
+}
 
 // What a walk needs of each splat, in the order of the input: channels, then shape and channels of each direction. One
 // walk reads the rows of a splat at many places; rows of the arrays of all directions would be as many cache misses.
@@ -226,7 +228,7 @@ struct TileTangent {
 template <int K, int W>
 void write_sums(const Input& input, const Tile& tile, const Directions& directions, const float (&sums)[BLOCKS][K][W][LANES]) {
   const Part part = directions.part;
-  const int together = directions.adjacent() ? directions.count : 1;
+  const int together = directions.together;
   for (int k = 0; k < directions.count; k += together) {
     const Direction2d& to = directions.of[k];
     const size_t stride = static_cast<size_t>(input.channel_count) * to.spacing;
@@ -251,7 +253,7 @@ void write_alpha(const Input& input, const Tile& tile, const Directions& directi
     const Lanes T = absolute(load(transmittance[b]));
     for (int k = 0; k < directions.count; ++k) store(alphas[b][k], -(T * load(logs[b][k])));
   }
-  const int together = directions.adjacent() ? directions.count : 1;
+  const int together = directions.together;
   for (int k = 0; k < directions.count; k += together) {
     const Direction2d& to = directions.of[k];
     write_pixels(input, tile, to.alpha + to.number, to.spacing, together, [&](int b, int i) { return alphas[b][k + i]; });
@@ -280,12 +282,14 @@ void rasterize_tangent(const Input& input, const Direction2d* directions, int co
                        int64_t max_pairs) {
   scratch.binning.collect(input, workers, max_pairs);
   // In several rounds the states of all tiles are kept: those of one direction are small enough.
-  const int together = scratch.binning.rounds.size() == 1 ? MOST_DIRECTIONS : 1;
-  for (int first = 0; first < count; first += together) {
+  const int most = scratch.binning.rounds.size() == 1 ? MOST_DIRECTIONS : 1;
+  for (int first = 0; first < count; first += most) {
+    const int size = std::min(most, count - first);
+    const int together = together_of(directions + first, size);
     Part part{0, 0};
     do {
       part.size = std::min(NARROW_WALK, input.channel_count - part.first);
-      const Directions some{directions + first, std::min(together, count - first), part};
+      const Directions some{directions + first, size, together, part};
       const bool few = part.size <= GROUP;
       const auto push = some.count == 1 ? (few ? push_part<1, GROUP> : push_part<1, NARROW_WALK>)
                                         : (few ? push_part<MOST_DIRECTIONS, GROUP> : push_part<MOST_DIRECTIONS, NARROW_WALK>);

@@ -12,6 +12,7 @@ points that runs start from. Every 8th training photo is held out, from the fift
 photos are not used at all.
 """
 
+import math
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -122,6 +123,9 @@ VARIANTS: dict[str, Variant] = {
     "steps in extents": lambda r: replace(r, optimizer=replace(r.optimizer, reach=SceneExtent())),
     "focus 1": lambda r: density(r, focus=1.0),
     "focus 2": lambda r: density(r, focus=2.0),
+    "sizes without limit": lambda r: density(r, largest=math.inf),
+    "sizes up to 1 / 4": lambda r: density(r, largest=0.25),
+    "sizes up to 1": lambda r: density(r, largest=1.0),
     "splits until 0.5": lambda r: density(r, until=r.steps // 2),
     "grown at 0.2": lambda r: density(r, growth=ByStep(r.steps // 5)),
     "grown at 0.6": lambda r: density(r, growth=ByStep(3 * r.steps // 5)),

@@ -19,10 +19,11 @@ KEY = jax.random.key(0)
 DOUBLES = Splitting(growth=ByFactor(2.0))
 
 
-def refine(gaussians, pulls, strategy=DOUBLES, key=KEY):
-    """Refines after one view in which the Gaussians were pulled so strongly."""
+def refine(gaussians, pulls, strategy=DOUBLES, key=KEY, depth=jnp.inf):
+    """Refines after one view in which the Gaussians were pulled so strongly, at a depth."""
     rows = len(gaussians) - len(pulls)
-    state = Observed(jnp.pad(jnp.float32(pulls), (0, rows)), jnp.ones(len(gaussians)))
+    seen = jnp.ones(len(gaussians))
+    state = Observed(jnp.pad(jnp.float32(pulls), (0, rows)), seen, jnp.full_like(seen, depth))
     return strategy.refine(state, gaussians, len(pulls), 600, 1.0, key)
 
 
@@ -45,6 +46,26 @@ def test_a_split_hardly_changes_the_picture():
     before, after = (render(g, camera_at(), backend="xla").rgb for g in (gaussians, refined.gaussians))
     assert_allclose(jnp.sum(after), jnp.sum(before), rtol=0.1)
     assert float(jnp.mean((before - after) ** 2)) < 0.06 * float(jnp.mean(before**2))
+
+
+def test_a_gaussian_that_is_large_compared_with_its_depth_is_cut_to_half_of_it_on_each_axis():
+    gaussians = replace(random_gaussians(n=2), log_scales=jnp.log(jnp.float32([[9, 2, 0.1], [9, 2, 0.1]])))
+    refined = refine(gaussians, [0, 0], Splitting(growth=ByFactor(1.0)), depth=jnp.float32([8, jnp.inf]))
+    assert_allclose(refined.gaussians.scales, [[4, 2, 0.1], [9, 2, 0.1]], rtol=1e-6)
+    assert not refined.lineage.newborn[:2].any()
+
+
+def test_the_least_depth_is_that_of_the_photos_with_the_centre_in_them():
+    strategy, camera = Splitting(), camera_at((0.0, 0.0, -4.0))
+    means = jnp.float32([[0, 0, 0], [3, 0, -3.9]])  # the second is seen beside the camera, as it is large
+    gaussians = replace(random_gaussians(n=2), means=means, log_scales=jnp.log(jnp.full((2, 3), 2.0)))
+    gaussians = replace(gaussians, opacity_logits=jnp.full(2, 3.0))
+    splats = strategy.watch(project(gaussians, camera, backend="xla"))
+    assert np.all(np.asarray(splats.extents) > 0)
+    state = strategy.init(2)
+    for depths in (splats.depths, splats.depths + 1):
+        state = strategy.observe(state, replace(splats, depths=depths), jax.tree.map(jnp.zeros_like, splats))
+    assert_allclose(state.nearest, [4, jnp.inf], rtol=1e-6)
 
 
 def test_the_dead_are_moved_first_and_never_become_parents():

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 FLOATS = 59  # of a Gaussian with harmonics of degree 3
 ROW = 4 * FLOATS
-STATE = 3 * ROW + 4 * 2  # of a row: parameters, two moments, two statistics of density control
+STATE = 3 * ROW + 4 * 3  # of a row: parameters, two moments, three statistics of density control
 ADAM = 7 * ROW  # a parameter and its two moments, read and written; its gradient, read
 THERE = 4 * 12  # of a splat: mean 2, shape 3, depth 1, extent 2, colour 3, opacity 1
 BACK = 4 * 12  # of its cotangent: mean 2, shape 3, depth 1, colour 3, opacity 1, pull 2

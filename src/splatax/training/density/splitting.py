@@ -24,10 +24,11 @@ from splatax.training.protocols import DensityUpdate, Lineage
 
 
 class Observed(NamedTuple):
-    """Sums over the views since the last refinement."""
+    """Statistics of each Gaussian over the views since the last refinement."""
 
-    pull: Float[Array, " n"]
-    views: Float[Array, " n"]  # number of views in which the Gaussian was visible
+    pull: Float[Array, " n"]  # sum
+    views: Float[Array, " n"]  # number of views in which it was visible
+    nearest: Float[Array, " n"]  # least depth at which its centre was in a photo, world units, or infinite
 
 
 @dataclass(frozen=True)
@@ -54,23 +55,31 @@ class Splitting:
     min_opacity: float = 0.005  # Gaussians of at most this opacity are dead, and relocated
     focus: float = 3.0  # exponent of the pull in the probability of being a parent
     halves: Halves = Halves()
+    largest: float = 0.5  # standard deviation, as a fraction of the least depth; larger ones are cut to it
     max_gaussians: int = 1_000_000
 
     def __post_init__(self) -> None:
         require_limit(self.max_gaussians)
 
     def init(self, capacity: int) -> Observed:
-        """Returns sums of no view."""
-        return Observed(jnp.zeros(capacity), jnp.zeros(capacity))
+        """Returns statistics of no view."""
+        return Observed(jnp.zeros(capacity), jnp.zeros(capacity), jnp.full(capacity, jnp.inf))
 
     def watch(self, splats: Splats) -> Splats:
         """Adds `pull` to the splats."""
         return replace(splats, pull=jnp.zeros_like(splats.means2d))
 
     def observe(self, state: Observed, splats: Splats, d_splats: Splats) -> Observed:
-        """Adds one view to the sums."""
+        """Adds one view to the statistics."""
         pull, visible = pulls(splats, d_splats)
-        return Observed(state.pull + pull, state.views + visible.astype(state.views.dtype))
+        across, down = splats.means2d[:, 0] / splats.width, splats.means2d[:, 1] / splats.height
+        inside = visible & (across >= 0) & (across <= 1) & (down >= 0) & (down <= 1)
+        depths = jnp.where(inside, splats.depths, jnp.inf).astype(state.nearest.dtype)
+        return Observed(
+            state.pull + pull,
+            state.views + visible.astype(state.views.dtype),
+            jnp.minimum(state.nearest, depths),
+        )
 
     def due(self, step: int) -> bool:
         """Returns whether the scene is refined after this many steps."""
@@ -83,9 +92,15 @@ class Splitting:
 
         A parent is split once, so a refinement at most doubles the number of Gaussians. Dead Gaussians for
         which there is no parent stay where they are.
+
+        Scales above `largest` are cut first. A Gaussian behind a wall can grow without being seen, until
+        it covers the picture of a camera beside which it lies: the linear projection of a Gaussian that is
+        large compared with its depth covers far more than the Gaussian.
         """
+        limit = jnp.log(self.largest * state.nearest)
+        gaussians = replace(gaussians, log_scales=jnp.minimum(gaussians.log_scales, limit[:, None]))
         dead = np.asarray(gaussians.opacities[:count]) <= self.min_opacity
-        pull, views = (np.asarray(leaf[:count], np.float64) for leaf in state)
+        pull, views = (np.asarray(leaf[:count], np.float64) for leaf in (state.pull, state.views))
         weights = np.where(dead, 0, (pull / np.maximum(views, 1)) ** self.focus)
         grown = max(self.growth.after(count, step, self.every, self.max_gaussians), count)
         rows = np.concatenate([np.flatnonzero(dead), np.arange(count, grown)])  # to be filled

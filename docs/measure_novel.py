@@ -1,12 +1,14 @@
-"""Scores scenes of drawn captures between their photos: `python docs/measure_novel.py SCENE STEPS SEEDS LIMITS`.
+"""Scores scenes of drawn captures between their photos.
 
-SCENE    name of a drawn scene, such as room
-STEPS    of each run
-SEEDS    whole numbers with commas
-LIMITS   values of `Splitting.largest` with commas; inf for none
+python docs/measure_novel.py SCENE STEPS SEEDS LIMITS
+    SCENE    name of a drawn scene, such as room
+    STEPS    of each run
+    SEEDS    whole numbers with commas
+    LIMITS   values of `Splitting.largest` with commas; inf for none
 
-Each camera of the scores is that of a training photo, moved by 15 % of the scene's extent and turned by 0.2 radians
-(standard deviations along each axis). Few views of a scene are bad, so the worst of them tell more than the mean.
+Each camera of the scores is that of a training photo, moved by 15 % of the scene's extent and turned by 0.2
+radians (standard deviations along each axis). Few views of a scene are bad, so the worst of them tell more
+than the mean.
 """
 
 import sys

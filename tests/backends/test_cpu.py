@@ -1,5 +1,6 @@
 """Tests of the native rasterizer only: threads, rounds, and malformed input."""
 
+import shutil
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -22,6 +23,7 @@ from splatax.surfaces import pixel_centers
 pytestmark = pytest.mark.skipif(
     cpu.BEST.why_unavailable() is not None, reason=f"no native library: {cpu.BEST.why_unavailable()}"
 )
+NOT_BUILT = "there is no build of the native library for baseline"
 SCENE = random_splats(7, n=600, size=(70, 53), sigma=(1, 12))
 
 
@@ -172,7 +174,13 @@ def test_a_million_splats_in_one_pixel():
 def test_it_is_refused_by_name_where_the_machine_cannot_run_it(monkeypatch):
     monkeypatch.setattr(library, "best_instructions", lambda: "baseline")
     assert "no avx512" in cpu.AVX512.why_unavailable()
-    assert cpu.BASELINE.why_unavailable() is None
+    assert cpu.BASELINE.why_unavailable() in (None, NOT_BUILT)
+
+
+def test_a_build_that_an_installation_lacks_is_named(monkeypatch, tmp_path):
+    shutil.copy(library.library_path(library.CHOICE), tmp_path)
+    monkeypatch.setattr(library, "FOLDER", tmp_path)
+    assert cpu.BASELINE.why_unavailable() == NOT_BUILT
 
 
 def test_an_installation_without_the_library_says_how_to_get_it(monkeypatch, tmp_path):

@@ -63,7 +63,9 @@ class Splitting:
 
     def init(self, capacity: int) -> Observed:
         """Returns statistics of no view."""
-        return Observed(jnp.zeros(capacity), jnp.zeros(capacity), jnp.full(capacity, jnp.inf))
+        pull, views = jnp.zeros(capacity), jnp.zeros(capacity)
+        # `jnp.full` would be weakly typed, so that the first step had a program of its own.
+        return Observed(pull, views, jnp.full_like(pull, jnp.inf))
 
     def watch(self, splats: Splats) -> Splats:
         """Adds `pull` to the splats."""

@@ -30,8 +30,8 @@ def test_devices_share_rows_and_memory_but_each_draws_a_view():
 def test_the_state_that_density_control_gathers_does_not_shrink_with_more_devices():
     eight, many = (cost(MACHINES["H100"], n, 10_000_000, HD, 0.2) for n in (8, 64))
     assert many.memory < eight.memory
-    assert many.densifying == eight.densifying == many.peak
-    assert many.densifying > 2 * 7.16, "the old state and the new one; docs/scale.md states the bytes of one"
+    assert many.gathered == eight.gathered == many.peak
+    assert many.gathered > 2 * 7.16, "the old state and the new one; docs/scale.md states the bytes of one"
 
 
 def test_a_state_has_as_many_bytes_for_a_gaussian_as_the_model_counts():

@@ -70,7 +70,7 @@ class Cost:
         wait: for collective operations to begin.
         exchanged: bytes that a device gets.
         memory: GB of a device during a step.
-        densifying: GB of the first device of a process during density control.
+        gathered: GB of the first device of a process during density control.
     """
 
     rows: float
@@ -79,7 +79,7 @@ class Cost:
     wait: float
     exchanged: int
     memory: float
-    densifying: float
+    gathered: float
 
     @property
     def step(self) -> float:
@@ -89,7 +89,7 @@ class Cost:
     @property
     def peak(self) -> float:
         """GB of the device that needs most."""
-        return max(self.memory, self.densifying)
+        return max(self.memory, self.gathered)
 
 
 def cost(machine: Machine, devices: int, gaussians: int, pixels: int, seen: float) -> Cost:
@@ -118,7 +118,7 @@ def cost(machine: Machine, devices: int, gaussians: int, pixels: int, seen: floa
         wait=LATENCIES * machine.latency if devices > 1 else 0.0,
         exchanged=exchanged,
         memory=(own * 4 * ROW + splats + pixels * 160) / 1e9,
-        densifying=gaussians * (2 * STATE + ROW) / 1e9,  # old state, the same without broken rows, new state
+        gathered=gaussians * (2 * STATE + ROW) / 1e9,  # old state, the same without broken rows, new state
     )
 
 

@@ -42,8 +42,8 @@ COMPOSED = (  # by JAX, of derivatives that other tests hold to the reference
 
 def pytest_collection_modifyitems(config, items):
     """Marks what runs on a build of the native library that this machine would not choose by itself, and
-    what is left to `make slow`. Leaves out what the
-    instruction set of a build cannot change: doors, names of outputs, and rules of transformations."""
+    what is left to `make slow`. Leaves out what the instruction set of a build cannot change: doors, names of
+    outputs, and rules of transformations."""
     best = None if library.why_unavailable(None) else f"cpu-{library.best_instructions()}"
     others = {f"cpu-{instructions}" for instructions in library.INSTRUCTIONS} - {best}
     left_out = set()

@@ -55,6 +55,12 @@ def test_a_gaussian_that_is_large_compared_with_its_depth_is_cut_to_half_of_it_o
     assert not refined.lineage.newborn[:2].any()
 
 
+@pytest.mark.parametrize("largest", [0.0, -1.0, float("nan")])
+def test_a_limit_of_sizes_that_would_spoil_the_scene_is_refused(largest):
+    with pytest.raises(ValueError, match="largest must be above 0"):
+        Splitting(largest=largest)
+
+
 def test_the_least_depth_is_that_of_the_photos_with_the_centre_in_them():
     strategy, camera = Splitting(), camera_at((0.0, 0.0, -4.0))
     means = jnp.float32([[0, 0, 0], [3, 0, -3.9]])  # the second is seen beside the camera, as it is large

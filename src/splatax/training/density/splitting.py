@@ -60,6 +60,8 @@ class Splitting:
 
     def __post_init__(self) -> None:
         require_limit(self.max_gaussians)
+        if not self.largest > 0:
+            raise ValueError(f"largest must be above 0, not {self.largest}. For no limit of sizes: math.inf")
 
     def init(self, capacity: int) -> Observed:
         """Returns statistics of no view."""

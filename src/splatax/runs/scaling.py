@@ -6,8 +6,8 @@ A step draws one view on each device. A device
     gets the splats of all rows for its view, and sends gradients   traffic between devices
     draws its view, forward and backward                            time by pixel and by visible splat
 
-Density control needs the old and the new rows of each device at a time. Test views and pictures are drawn by the
-first device of a process, which gets the Gaussians of all for it.
+Density control needs the old and the new rows of each device at a time. Test views and pictures are drawn by
+the first device of a process, which gets the Gaussians of all for it.
 
 Bytes are those of `splatax.training.views`, which the tests count in the compiled program. The rates of
 machines are assumptions, from data sheets and from published figures; nothing here was measured on them.

@@ -36,7 +36,7 @@ class Source(NamedTuple):
 
 @dataclass(frozen=True)
 class DensityPlan:
-    """What a refinement makes of a scene: one entry for each Gaussian that it will have. On the host.
+    """A plan of a refined scene: one entry for each Gaussian that it will have. On the host.
 
     Attributes:
         parents: row of the old scene that each row is made from.

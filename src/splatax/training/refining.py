@@ -26,7 +26,7 @@ from splatax.training.routes import Routes, fetch, routes
 
 
 class Kept(NamedTuple):
-    """What density control changes in the state of a run."""
+    """The part of a run's state that density control changes."""
 
     gaussians: Gaussians
     opt_state: Any
@@ -43,7 +43,7 @@ class NewRows(NamedTuple):
 
 @dataclass(frozen=True)
 class Manner:
-    """How rows are made from those of their parents. Hashable: it is static under `jit`.
+    """The manner in which rows are made from those of their parents. Static under `jit`.
 
     Attributes:
         density: the strategy.

@@ -1,4 +1,4 @@
-"""Which rows the devices of a run send each other when each new row is made from one of the old ones.
+"""The rows that the devices of a run send each other when each new row is made from one of the old ones.
 
 New rows are made block by block. For one block of each device, every device sends every other one the rows
 that it needs, in one all-to-all exchange of equal parts: as large as the largest of them, which is counted

@@ -33,7 +33,7 @@ class Observed(NamedTuple):
 
 
 class Columns(NamedTuple):
-    """What the choice of children depends on."""
+    """The columns on which the choice of children depends."""
 
     opacity_logits: Float[np.ndarray, " n"] | Float[Array, " n"]
     log_scales: Float[np.ndarray, "n 3"] | Float[Array, "n 3"]
@@ -43,7 +43,7 @@ class Columns(NamedTuple):
 
 
 class Children(NamedTuple):
-    """What each Gaussian of the refined scene gets."""
+    """The properties that each Gaussian of a refined scene gets from the plan."""
 
     opacity_logits: Float[np.ndarray, " n"] | Float[Array, " n"]
     split: (

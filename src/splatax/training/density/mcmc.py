@@ -24,7 +24,7 @@ MAX_COPIES = 51  # by which one Gaussian is replaced in a refinement (the author
 
 
 class Copies(NamedTuple):
-    """What each Gaussian gets in a refinement; without copies, its opacity and a factor of 1."""
+    """The properties that each Gaussian gets in a refinement; without copies, the same as before."""
 
     opacity_logits: Float[np.ndarray, " n"] | Float[Array, " n"]
     log_factors: Float[np.ndarray, " n"] | Float[Array, " n"]  # of the scales

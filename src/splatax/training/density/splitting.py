@@ -31,7 +31,7 @@ class Observed(NamedTuple):
 
 
 class Columns(NamedTuple):
-    """What the choice of parents depends on."""
+    """The columns on which the choice of parents depends."""
 
     opacity_logits: Float[np.ndarray, " n"] | Float[Array, " n"]
     pull: Float[np.ndarray, " n"] | Float[Array, " n"]

@@ -22,7 +22,7 @@ from splatax.training import per_photo
 from splatax.training.feed import Batch
 from splatax.training.optimizer import Adam, free_coefficients
 from splatax.training.per_photo import PerPhoto, PerView
-from splatax.training.protocols import DensityStrategy, DensityUpdate, Source
+from splatax.training.protocols import DensityPlan, DensityStrategy, Source
 from splatax.training.recipes import Recipe
 from splatax.training.step import Shown, TrainState, advanced, compare, photo_over
 from splatax.training.steppers import OneView
@@ -67,11 +67,17 @@ class OpacityNoise:
         """Returns what the strategy does."""
         return self.strategy.due(step)
 
-    def refine(
-        self, state: Any, gaussians: Gaussians, count: int, step: int, extent: float, key: Any
-    ) -> DensityUpdate:
+    def columns(self, state: Any, gaussians: Gaussians) -> Any:
         """Returns what the strategy does."""
-        return self.strategy.refine(state, gaussians, count, step, extent, key)
+        return self.strategy.columns(state, gaussians)
+
+    def plan(self, columns: Any, step: int, extent: float, key: Any) -> DensityPlan:
+        """Returns what the strategy does."""
+        return self.strategy.plan(columns, step, extent, key)
+
+    def reborn(self, gaussians: Gaussians, state: Any, given: Any) -> Gaussians:
+        """Returns what the strategy does."""
+        return self.strategy.reborn(gaussians, state, given)
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ parser.add_argument("--devices", type=int, nargs="+", default=[8], help="a run f
 parser.add_argument("--per-photo", action="store_true", help="with exposures, refined poses and weights")
 parser.add_argument("--geometry", action="store_true", help="with penalties on surfaces")
 parser.add_argument("--bytes", action="store_true", help="print what a step exchanges instead of training")
+parser.add_argument("--refinement", action="store_true", help="print what a refinement needs, likewise")
 parser.add_argument("--resume", action="store_true", help="from half of the run on the devices before")
 parser.add_argument("--host", type=int, nargs=3, metavar=("PORT", "COUNT", "INDEX"))
 options = parser.parse_args()
@@ -42,7 +43,9 @@ from splatax.training.density.growth import ByStep  # noqa: E402
 from splatax.training.geometry import Surfaces  # noqa: E402
 from splatax.training.loop import first_state  # noqa: E402
 from splatax.training.photo_weights import RobustWeights  # noqa: E402
+from splatax.training.protocols import DensityPlan  # noqa: E402
 from splatax.training.recipes import ShSchedule, with_views  # noqa: E402
+from splatax.training.refining import Kept, _on_devices, manner_of, sent  # noqa: E402
 from splatax.training.schedule import Schedule  # noqa: E402
 from splatax.training.steppers import stepper_for  # noqa: E402
 from splatax.training.views import step_on_views  # noqa: E402
@@ -115,11 +118,31 @@ def exchanged(number: int) -> int:
     return sum(4 * math.prod(int(n) for n in shape.split(",") if n) for shape in shapes)
 
 
+def held(number: int) -> int:
+    """Bytes on each device while density control makes the new rows of a scene that doubles."""
+    made = recipe().on(backends.resolve("cpu"))
+    stepper = stepper_for(made, jax.devices()[:number])
+    start = pad(made.initialization(dataset, 1, 0), ROWS)
+    state = stepper.placed(first_state(start, made, 1.0, len(dataset.train)))
+    parents = np.random.default_rng(0).permutation(np.arange(2 * ROWS) // 2)
+    sides = np.ones(2 * ROWS, np.float32)
+    plan = DensityPlan(parents, np.ones(2 * ROWS, bool), sides)
+    kept = Kept(state.gaussians, state.opt_state, state.density_state)
+    ways, new = sent(plan, ROWS, 2 * ROWS, stepper.sharding)
+    program = _on_devices.lower(kept, ways, new, manner_of(plan, made), stepper.sharding.mesh).compile()
+    found = program.memory_analysis()
+    return found.argument_size_in_bytes + found.output_size_in_bytes + found.temp_size_in_bytes
+
+
 reads: list[str] = []
 dataset, start = seen(), None
 if options.bytes:
     for number in options.devices:
         print("run", number, exchanged(number))
+    raise SystemExit
+if options.refinement:
+    for number in options.devices:
+        print("run", number, held(number))
     raise SystemExit
 for number in options.devices:
     here = jax.devices()[:number]

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from refined import refine as refined_by
 
 from scenes import camera_at, random_gaussians
 from splatax.math import quaternions
@@ -16,6 +17,7 @@ from splatax.training.capacity import bucket_for, pad
 from splatax.training.density import STRATEGIES, ByFactor, Classic, Mcmc
 from splatax.training.density.classic import Observed
 from splatax.training.protocols import DensityStrategy
+from splatax.training.refining import Due
 
 KEY = jax.random.key(0)
 EXTENT = 10.0
@@ -49,7 +51,7 @@ def pulled(pull, screen=None, capacity=1024):
 
 
 def refine(gaussians, state, count, step=EARLY, strategy=None):
-    return (strategy or Classic()).refine(state, gaussians, count, step, EXTENT, KEY)
+    return refined_by(strategy or Classic(), state, gaussians, count, Due(step, EXTENT, KEY))
 
 
 def test_nothing_happens_without_cause():
@@ -58,14 +60,14 @@ def test_nothing_happens_without_cause():
     assert refined.count == 2
     for a, b in zip(jax.tree.leaves(refined.gaussians), jax.tree.leaves(gaussians), strict=True):
         assert_array_equal(a[:2], b[:2])
-    assert_array_equal(refined.lineage.newborn[:2], False)
+    assert_array_equal(refined.newborn[:2], False)
 
 
 def test_small_is_cloned_in_place_and_keeps_its_moments_while_the_copy_has_none():
     refined = refine(scene([0.05, 0.05], [0.5, 0.5]), pulled([0, 3e-4]), 2)
     assert refined.count == 3
-    assert_array_equal(refined.lineage.parent[:3], [0, 1, 1])
-    assert_array_equal(refined.lineage.newborn[:3], [False, False, True])
+    assert_array_equal(refined.parents[:3], [0, 1, 1])
+    assert_array_equal(refined.newborn[:3], [False, False, True])
     for leaf in jax.tree.leaves(refined.gaussians):
         assert_array_equal(leaf[2], leaf[1])
 
@@ -77,8 +79,8 @@ def test_large_is_replaced_by_two_smaller_drawn_from_it():
     gaussians = replace(gaussians, log_scales=gaussians.log_scales.at[:].set(stretch))
     refined = refine(gaussians, pulled([3e-4] * n), n)
     assert refined.count == 2 * n
-    assert np.all(refined.lineage.newborn[: 2 * n])
-    parent = np.asarray(refined.lineage.parent[: 2 * n])
+    assert np.all(refined.newborn[: 2 * n])
+    parent = np.asarray(refined.parents[: 2 * n])
     assert_array_equal(np.bincount(parent), 2)
     assert_allclose(
         refined.gaussians.log_scales[: 2 * n], jnp.tile(stretch - math.log(1.6), (2 * n, 1)), rtol=1e-5
@@ -94,7 +96,7 @@ def test_large_is_replaced_by_two_smaller_drawn_from_it():
 def test_faint_is_pruned_and_nothing_comes_of_it():
     refined = refine(scene([0.05, 0.05, 0.5], [0.5, 0.004, 0.004]), pulled([0, 1, 1]), 3)
     assert refined.count == 1
-    assert_array_equal(refined.lineage.parent[:1], [0])
+    assert_array_equal(refined.parents[:1], [0])
 
 
 def test_oversized_is_pruned_after_the_first_reset_alone():
@@ -114,7 +116,7 @@ def test_growth_stops_at_the_limit_with_the_most_pulled_first():
     strategy = Classic(max_gaussians=6)
     refined = refine(scene([0.05] * 4, [0.5] * 4), pulled([3e-4, 9e-4, 4e-4, 8e-4]), 4, strategy=strategy)
     assert refined.count == 6
-    assert_array_equal(refined.lineage.parent[:6], [0, 1, 2, 3, 1, 3])
+    assert_array_equal(refined.parents[:6], [0, 1, 2, 3, 1, 3])
 
 
 def test_opacity_reset_lowers_what_is_above_and_restarts_its_moments_alone():
@@ -124,7 +126,7 @@ def test_opacity_reset_lowers_what_is_above_and_restarts_its_moments_alone():
     assert refined.count == 2
     assert_allclose(refined.gaussians.opacities[:2], [0.01, 0.008], rtol=1e-5)
     assert np.all(np.isneginf(refined.gaussians.opacity_logits[2:]))
-    assert refined.lineage.restarted == ("opacity_logits",)
+    assert refined.restarted == ("opacity_logits",)
 
 
 @pytest.mark.parametrize(
@@ -185,8 +187,9 @@ def test_a_refined_scene_is_the_living_first_and_then_empty_slots(strategy, stat
     refined = refine(scene([0.05, 0.5, 0.2], [0.5, 0.5, 0.004]), state, 3, strategy=strategy)
     living = np.arange(len(refined.gaussians)) < refined.count
     assert_array_equal(np.isfinite(refined.gaussians.opacity_logits), living)
-    assert np.all(refined.lineage.newborn[refined.count :])
-    assert len(refined.lineage.parent) == len(refined.gaussians)
+    assert len(refined.parents) == len(refined.newborn) == refined.count
+    for leaf in jax.tree.leaves(refined.kept.opt_state):
+        assert_array_equal(leaf[refined.count :] if leaf.ndim else 0, 0)
 
 
 # --- capacity ---

@@ -139,6 +139,14 @@ def test_a_step_exchanges_as_many_bytes_as_the_model_of_many_devices_counts():
     assert modelled <= counted < modelled + 1024, "beside splats and cotangents, a few numbers travel"
 
 
+@pytest.mark.slow
+@needs_cpu
+def test_density_control_holds_no_more_on_a_device_than_its_own_rows_and_a_few_of_others():
+    output = printed("default", "--refinement", "--devices", "1", "8")
+    alone, of_eight = (int(re.search(rf"run {number} (\d+)", output)[1]) for number in (1, 8))
+    assert of_eight < alone / 8 + 8 * 2 * BLOCK * 4 * 59, "beside its rows, those of one exchange at most"
+
+
 @needs_cpu
 @pytest.mark.slow
 @pytest.mark.parametrize("options", [("default",), PER_PHOTO])

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from refined import refine as refined_by
 
 from scenes import camera_at, random_gaussians, with_slots
 from splatax.rendering import render
@@ -16,13 +17,14 @@ from splatax.training.density.growth import ByFactor, ByStep
 from splatax.training.density.mcmc import MAX_COPIES, Mcmc, in_proportion, relocated
 from splatax.training.noise import Langevin, NoNoise
 from splatax.training.priors import NoPrior, Sparsity
+from splatax.training.refining import Due
 
 KEY = jax.random.key(0)
 NO_GROWTH = Mcmc(growth=ByFactor(1.0))
 
 
 def refine(gaussians, count, strategy=NO_GROWTH, step=600, key=KEY):
-    return strategy.refine((), gaussians, count, step, 1.0, key)
+    return refined_by(strategy, (), gaussians, count, Due(step, 1.0, key))
 
 
 # --- what N Gaussians in the place of one look like ---
@@ -56,8 +58,7 @@ def test_relocation_leaves_the_picture():
     before = np.asarray(render(gaussians, camera).rgb)
     refined = refine(gaussians, 120)
     change = np.abs(np.asarray(render(refined.gaussians, camera).rgb) - before)
-    copied = jax.tree.map(lambda leaf: leaf[refined.lineage.parent], gaussians)
-    copied = replace(copied, opacity_logits=copied.opacity_logits.at[120:].set(-jnp.inf))
+    copied = jax.tree.map(lambda leaf: leaf[refined.parents], gaussians)
     naive = np.abs(np.asarray(render(copied, camera).rgb) - before)
     assert before.max() > 0.5
     assert change.mean() < 0.01
@@ -70,13 +71,12 @@ def test_relocation_leaves_the_picture():
 def test_the_dead_go_where_the_living_are_and_all_concerned_lose_their_moments():
     opacities = [0.5, 0.004, 0.9, 0.0049, 0.7]
     refined = refine(with_slots(opacities), 5)
-    parent, newborn = np.asarray(refined.lineage.parent), np.asarray(refined.lineage.newborn)
+    parent, newborn = np.asarray(refined.parents), np.asarray(refined.newborn)
     assert refined.count == 5
     assert_array_equal(parent[[0, 2, 4]], [0, 2, 4])
     sources = set(parent[[1, 3]])
     assert sources <= {0, 2, 4}
     assert_array_equal(newborn[:5], [row in sources | {1, 3} for row in range(5)])
-    assert np.all(newborn[5:])
     for leaf in (refined.gaussians.means, refined.gaussians.log_scales, refined.gaussians.opacity_logits):
         assert_array_equal(leaf[1], leaf[parent[1]])
 
@@ -84,7 +84,7 @@ def test_the_dead_go_where_the_living_are_and_all_concerned_lose_their_moments()
 def test_the_untouched_and_the_empty_stay_as_they_are():
     gaussians = with_slots([0.5, 0.004, 0.9, 0.8])
     refined = refine(gaussians, 4)
-    rest = np.flatnonzero(~np.asarray(refined.lineage.newborn[:4]))
+    rest = np.flatnonzero(~np.asarray(refined.newborn[:4]))
     assert len(rest) == 2
     for a, b in zip(jax.tree.leaves(refined.gaussians), jax.tree.leaves(gaussians), strict=True):
         assert_array_equal(a[rest], b[rest])
@@ -128,7 +128,7 @@ def test_more_points_than_the_most_are_kept():
 
 def test_another_key_takes_other_places():
     gaussians = with_slots([0.5] * 50 + [0.001] * 10)
-    parents = [np.asarray(refine(gaussians, 60, key=jax.random.key(i)).lineage.parent) for i in (0, 0, 1)]
+    parents = [np.asarray(refine(gaussians, 60, key=jax.random.key(i)).parents) for i in (0, 0, 1)]
     assert_array_equal(parents[0], parents[1])
     assert np.any(parents[0] != parents[2])
 

@@ -12,7 +12,7 @@ import pytest
 import splatax as sx
 from splatax.training import protocols
 from splatax.training.optimizer import LearningRates, Optimizer
-from splatax.training.protocols import DensityUpdate, Lineage
+from splatax.training.protocols import DensityPlan
 from splatax.training.recipes import Drawing, Objective, ShSchedule
 from training.test_training import capture, run
 
@@ -85,14 +85,16 @@ class DropFaintest:
     def due(self, step):
         return step == 4
 
-    def refine(self, state, gaussians, count, step, extent, key):
-        assert int(state) == 4  # a view at each step
-        n = len(gaussians)
-        order = jnp.argsort(-gaussians.opacity_logits)
-        refined = jax.tree.map(lambda leaf: leaf[order], gaussians)
-        logits = refined.opacity_logits.at[count - 1].set(-jnp.inf)
-        lineage = Lineage(order, jnp.arange(n) >= count - 1)
-        return DensityUpdate(replace(refined, opacity_logits=logits), count - 1, lineage, jnp.int32(0))
+    def columns(self, state, gaussians):
+        return gaussians.opacity_logits
+
+    def plan(self, columns, step, extent, key):
+        parents = np.argsort(-columns)[:-1]
+        return DensityPlan(parents, np.zeros(len(parents), bool))
+
+    def reborn(self, gaussians, state, given):
+        assert state.shape == ()  # it is not by row
+        return gaussians
 
 
 @dataclass(frozen=True)

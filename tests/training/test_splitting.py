@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from refined import refine as refined_by
 
 from scenes import camera_at, random_gaussians, with_slots
 from splatax.rendering import project, render
@@ -14,6 +15,7 @@ from splatax.training.capacity import pad
 from splatax.training.density import ByFactor, Splitting
 from splatax.training.density.splitting import Observed, without_replacement
 from splatax.training.optimizer import ViewDepth
+from splatax.training.refining import Due
 
 KEY = jax.random.key(0)
 DOUBLES = Splitting(growth=ByFactor(2.0))
@@ -24,7 +26,7 @@ def refine(gaussians, pulls, strategy=DOUBLES, key=KEY, depth=jnp.inf):
     rows = len(gaussians) - len(pulls)
     seen = jnp.ones(len(gaussians))
     state = Observed(jnp.pad(jnp.float32(pulls), (0, rows)), seen, jnp.full_like(seen, depth))
-    return strategy.refine(state, gaussians, len(pulls), 600, 1.0, key)
+    return refined_by(strategy, state, gaussians, len(pulls), Due(600, 1.0, key))
 
 
 def test_children_lie_on_both_sides_of_their_parent_along_its_longest_axis():
@@ -36,7 +38,7 @@ def test_children_lie_on_both_sides_of_their_parent_along_its_longest_axis():
     assert_allclose(first, -second, atol=1e-6)
     assert_allclose(np.abs(first), [0, 0.4, 0], atol=1e-6)
     assert np.all(refined.gaussians.log_scales[:2] < parent.log_scales)
-    assert np.all(refined.lineage.newborn)
+    assert np.all(refined.newborn)
 
 
 def test_a_split_hardly_changes_the_picture():
@@ -52,7 +54,7 @@ def test_a_gaussian_that_is_large_compared_with_its_depth_is_cut_to_half_of_it_o
     gaussians = replace(random_gaussians(n=2), log_scales=jnp.log(jnp.float32([[9, 2, 0.1], [9, 2, 0.1]])))
     refined = refine(gaussians, [0, 0], Splitting(growth=ByFactor(1.0)), depth=jnp.float32([8, jnp.inf]))
     assert_allclose(refined.gaussians.scales, [[4, 2, 0.1], [9, 2, 0.1]], rtol=1e-6)
-    assert not refined.lineage.newborn[:2].any()
+    assert not refined.newborn[:2].any()
 
 
 @pytest.mark.parametrize("largest", [0.0, -1.0, float("nan")])
@@ -78,15 +80,15 @@ def test_the_dead_are_moved_first_and_never_become_parents():
     opacities = [0.5, 0.001, 0.5, 0.002, 0.5, 0.5]
     refined = refine(with_slots(opacities), [1.0, 9.0, 1.0, 9.0, 1.0, 1.0], Splitting(growth=ByFactor(1.0)))
     assert refined.count == 6
-    assert set(np.asarray(refined.lineage.parent)[[1, 3]]) <= {0, 2, 4, 5}
+    assert set(np.asarray(refined.parents)[[1, 3]]) <= {0, 2, 4, 5}
     assert np.all(np.asarray(refined.gaussians.opacities)[:6] > 0.3)
 
 
 def test_nothing_is_split_that_no_pixel_pulls():
     refined = refine(with_slots([0.5] * 6), [0, 2, 0, 3, 0, 0])
     assert refined.count == 8
-    assert sorted(np.asarray(refined.lineage.parent)[6:8]) == [1, 3]
-    assert_array_equal(np.flatnonzero(~np.asarray(refined.lineage.newborn)), [0, 2, 4, 5])
+    assert sorted(np.asarray(refined.parents)[6:8]) == [1, 3]
+    assert_array_equal(np.flatnonzero(~np.asarray(refined.newborn)), [0, 2, 4, 5])
 
 
 def test_a_scene_that_no_view_has_seen_is_left_alone():
@@ -94,7 +96,7 @@ def test_a_scene_that_no_view_has_seen_is_left_alone():
     refined = refine(gaussians, [0.0, 0.0, 0.0])
     assert refined.count == 3
     assert_array_equal(refined.gaussians.means[:3], gaussians.means[:3])
-    assert not np.any(refined.lineage.newborn[:3])
+    assert not np.any(refined.newborn[:3])
 
 
 def test_a_parent_is_split_once_and_the_maximum_is_kept():

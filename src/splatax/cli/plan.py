@@ -20,8 +20,8 @@ UNITS = {"": 1, "k": 1_000, "M": 1_000_000, "G": 1_000_000_000}
 class Plan:
     """Predict time, traffic and memory of a training step on many devices.
 
-    "memory" is that of a device during a step. "gathered" is that of the first device of each process
-    during density control, which gathers the whole scene there.
+    "memory" is that of a device during a step or density control. "drawing" is that of the first device of
+    each process when it draws a test view or a picture, with the Gaussians of all devices.
 
     The numbers come from a model, not from measurements: it counts bytes and divides them by assumed hardware
     rates. docs/scale.md states the assumptions.
@@ -43,7 +43,7 @@ class Plan:
             raise InputError(f"--seen: a fraction above 0 and at most 1, not {self.seen}.")
         times = ("step, ms", "rows", "draw", "travel", "wait")
         # Without lines it fits a terminal of 80 columns.
-        bytes_ = ("exchanged, GB", "memory, GB", "gathered, GB")
+        bytes_ = ("exchanged, GB", "memory, GB", "drawing, GB")
         table = Table("devices", *times, "photos/s", *bytes_, box=None, pad_edge=False, collapse_padding=True)
         numbers = sorted({1, min(machine.host, count), count})
         costs = {devices: cost(machine, devices, gaussians, pixels, self.seen) for devices in numbers}
@@ -63,7 +63,7 @@ def row(devices: int, found: Cost) -> list[str]:
     """Returns the cells of a number of devices."""
     times = [f"{ms:.1f}" for ms in (found.step, found.rows, found.draw, found.travel, found.wait)]
     speed = f"{devices * 1e3 / found.step:,.0f}"
-    sizes = f"{found.exchanged / 1e9:.2f}", f"{found.memory:.1f}", f"{found.gathered:.1f}"
+    sizes = f"{found.exchanged / 1e9:.2f}", f"{found.memory:.1f}", f"{found.state + found.whole:.1f}"
     return [str(devices), *times, speed, *sizes]
 
 

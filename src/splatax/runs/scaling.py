@@ -6,8 +6,8 @@ A step draws one view on each device. A device
     gets the splats of all rows for its view, and sends gradients   traffic between devices
     draws its view, forward and backward                            time by pixel and by visible splat
 
-Density control gathers the state of all rows on the first device of every process, and holds it there twice
-while it makes the new one.
+Density control needs the old and the new rows of each device at a time. Test views and pictures are drawn by
+the first device of a process, which gets the Gaussians of all for it.
 
 Bytes are those of `splatax.training.views`, which the tests count in the compiled program. The rates of
 machines are assumptions, from data sheets and from published figures; nothing here was measured on them.
@@ -69,8 +69,9 @@ class Cost:
         travel: exchanging splats and gradients.
         wait: for collective operations to begin.
         exchanged: bytes that a device gets.
-        memory: GB of a device during a step.
-        gathered: GB of the first device of a process during density control.
+        memory: GB of a device during a step or during density control, whichever needs more.
+        state: GB of the state of its rows.
+        whole: GB that the first device of a process needs beside, to draw a view with all rows.
     """
 
     rows: float
@@ -79,7 +80,8 @@ class Cost:
     wait: float
     exchanged: int
     memory: float
-    gathered: float
+    state: float
+    whole: float
 
     @property
     def step(self) -> float:
@@ -88,8 +90,8 @@ class Cost:
 
     @property
     def peak(self) -> float:
-        """GB of the device that needs most."""
-        return max(self.memory, self.gathered)
+        """GB of the device that needs most. Between steps, it keeps the state of its rows."""
+        return max(self.memory, self.state + self.whole)
 
 
 def cost(machine: Machine, devices: int, gaussians: int, pixels: int, seen: float) -> Cost:
@@ -117,8 +119,9 @@ def cost(machine: Machine, devices: int, gaussians: int, pixels: int, seen: floa
         travel=travel,
         wait=LATENCIES * machine.latency if devices > 1 else 0.0,
         exchanged=exchanged,
-        memory=(own * 4 * ROW + splats + pixels * 160) / 1e9,
-        gathered=gaussians * (2 * STATE + ROW) / 1e9,  # old state, the same without broken rows, new state
+        memory=max(own * 4 * ROW + splats + pixels * 160, own * 2 * STATE) / 1e9,
+        state=own * STATE / 1e9,
+        whole=gaussians * (ROW + THERE) / 1e9,
     )
 
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Int
+from jaxtyping import Array, Bool, Int
 
 from splatax.gaussians import Gaussians, is_sound
 
@@ -42,17 +42,29 @@ def with_empty_slots(gaussians: Gaussians, count: Int[Array, ""]) -> Gaussians:
     return replace(gaussians, opacity_logits=jnp.where(living, gaussians.opacity_logits, -jnp.inf))
 
 
-@jax.jit
-def without_broken(gaussians: Gaussians) -> tuple[Gaussians, Int[Array, ""]]:
+def without_broken(gaussians: Gaussians) -> tuple[Gaussians, int]:
     """Replaces each Gaussian that is not sound, see `gaussians.is_sound`, by an empty slot.
 
     Returns:
         The scene, and the number of Gaussians that were replaced.
     """
-    good = jax.vmap(is_sound)(*jax.tree.leaves(gaussians))
+    good, broken = _sound(gaussians)
+    return (_only(gaussians, good) if int(broken) else gaussians), int(broken)
+
+
+def only(gaussians: Gaussians, kept: Bool[Array, " n"]) -> Gaussians:
+    """Turns all rows but some into empty slots, of which all numbers are 0 but the opacity logit."""
     cleared = jax.tree.map(
-        lambda leaf: jnp.where(good.reshape(-1, *[1] * (leaf.ndim - 1)), leaf, 0), gaussians
+        lambda leaf: jnp.where(kept.reshape(-1, *[1] * (leaf.ndim - 1)), leaf, 0), gaussians
     )
-    return replace(cleared, opacity_logits=jnp.where(good, gaussians.opacity_logits, -jnp.inf)), jnp.sum(
-        ~good
-    )
+    return replace(cleared, opacity_logits=jnp.where(kept, gaussians.opacity_logits, -jnp.inf))
+
+
+_only = jax.jit(only)
+
+
+@jax.jit
+def _sound(gaussians: Gaussians) -> tuple[Bool[Array, " n"], Int[Array, ""]]:
+    """Returns which rows are sound, and the number of the others."""
+    good = jax.vmap(is_sound)(*jax.tree.leaves(gaussians))
+    return good, jnp.sum(~good)

@@ -77,14 +77,21 @@ def take(state: Stoppable, header: Mapping[str, Any], arrays: Mapping[str, np.nd
         arrays: further arrays to keep, whose names do not start with "state/".
     """
     leaves, _ = jax.tree_util.tree_flatten_with_path(state.train)
-    # A copy, not a view: a view of a device array keeps the next step from using its memory again.
-    copies = {name_of(path): np.array(as_integers(leaf)) for path, leaf in leaves}
+    copies = {name_of(path): on_host(as_integers(leaf)) for path, leaf in leaves}
     counts = {"step": int(state.train.step), "count": state.count}
     return Checkpoint({**header, **counts}, {**arrays, **copies})
 
 
+def on_host(leaf: Any) -> np.ndarray:
+    """Returns an array on the host: as it is, or a copy of one on a device.
+
+    A view of a device array would keep the next step from using its memory again.
+    """
+    return leaf if isinstance(leaf, np.ndarray) else np.array(leaf)
+
+
 def restore(checkpoint: Checkpoint, recipe: Recipe) -> RunState:
-    """Returns the run on the device, as it was.
+    """Returns the run as it was, on the host; `optimize` sends it to its devices.
 
     Raises:
         FormatError: if the checkpoint does not hold the state of a run of this recipe.
@@ -100,7 +107,7 @@ def stored_in(checkpoint: Checkpoint) -> dict[str, np.ndarray]:
 
 
 def restored(checkpoint: Checkpoint, shapes: State) -> tuple[State, int]:
-    """Returns the state in a checkpoint, on the device, and its number of living Gaussians.
+    """Returns the state in a checkpoint, on the host, and its number of living Gaussians.
 
     Args:
         checkpoint: of the run.
@@ -186,10 +193,10 @@ def _shapes(stored: Mapping[str, np.ndarray], recipe: Recipe) -> TrainState:
     return jax.eval_shape(partial(first_state, recipe=recipe, extent=1.0, photos=photos), gaussians)
 
 
-def _as(array: np.ndarray, expected: jax.ShapeDtypeStruct, name: str) -> jax.Array:
+def _as(array: np.ndarray, expected: jax.ShapeDtypeStruct, name: str) -> jax.Array | np.ndarray:
     if is_key(expected):
         return jax.random.wrap_key_data(jnp.array(array))
     if (array.shape, array.dtype) != (expected.shape, expected.dtype):
         found, wanted = f"{array.dtype}{array.shape}", f"{expected.dtype}{expected.shape}"
         raise FormatError(f"the state of another kind of run: {name} is {found}, not {wanted}")
-    return jnp.array(array)
+    return array

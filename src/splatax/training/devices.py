@@ -4,7 +4,7 @@ Rows are distributed in blocks of `BLOCK`: block b belongs to device b mod D, so
 Gaussians first stays balanced. The computation for a row depends only on its block, never on D: XLA rounds
 elementwise work differently for arrays of other lengths, so work on rows is done in blocks of one length.
 
-Only this file knows on which device a row is.
+Only this file and `routes` know on which device a row is.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,7 +16,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.experimental import multihost_utils
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Int
 
@@ -26,6 +25,7 @@ from splatax.training.step import TrainState
 
 AXIS = "device"
 BLOCK = 1024  # rows
+PIECE = 256_000_000  # bytes that are on a device at a time when rows of all are copied to the host
 ROWS, VIEWS, EVERYWHERE = PartitionSpec(AXIS), PartitionSpec(AXIS), PartitionSpec()
 
 
@@ -100,13 +100,29 @@ class Sharding:
         Each device gets at least two blocks: XLA compiles a loop that runs once with what surrounds it, which
         then rounds differently.
         """
-        unit = self.mesh.size * BLOCK
-        state = _padded(state, max(-(-len(state.gaussians) // unit), 2) * unit)
+        state = _padded(state, self.rows_for(len(state.gaussians)))
         return jax.tree.map(self._put, state, placement(state))
 
+    def rows_for(self, rows: int) -> int:
+        """Returns the number of rows on all devices together, for so many of the scene; see `placed`."""
+        unit = self.mesh.size * BLOCK
+        return max(-(-rows // unit), 2) * unit
+
     def gathered(self, state: TrainState, rows: int) -> TrainState:
-        """Copies a state from the devices: its first `rows` rows, in order. Every process gets all of it."""
+        """Copies a state to the host: its first `rows` rows, in order. Every process gets all of it."""
         return jax.tree.map(partial(self._get, rows=rows), state, placement(state))
+
+    def in_order(self, arrays: Any, rows: int) -> Any:
+        """Copies the first `rows` rows of arrays to the host, in order. Every process gets all of them."""
+        return jax.tree.map(partial(self._get, place=ROWS, rows=rows), arrays)
+
+    def rows(self, leaf: np.ndarray) -> Array:
+        """Sends each device its own rows of an array whose rows are in order."""
+        return self._put(leaf, ROWS)
+
+    def by_first_axis(self, leaf: np.ndarray) -> Array:
+        """Sends each device its own entry of an array with one for each device."""
+        return self._sent(leaf, ROWS)
 
     def views(self, leaf: np.ndarray, views: int) -> Array:
         """Sends arrays of the views that this process draws to the devices that draw them."""
@@ -123,7 +139,7 @@ class Sharding:
         each = views // self.mesh.size
         return range(own[0] * each, (own[-1] + 1) * each) if own else range(0)
 
-    def _put(self, leaf: Array, place: PartitionSpec) -> Array:
+    def _put(self, leaf: Array | np.ndarray, place: PartitionSpec) -> Array:
         if is_key(leaf):
             return jax.random.wrap_key_data(self._put(jax.random.key_data(leaf), place))
         host = np.asarray(leaf)
@@ -136,13 +152,34 @@ class Sharding:
         sharding = NamedSharding(self.mesh, place)
         return jax.make_array_from_callback(host.shape, sharding, lambda index: host[index])
 
-    def _get(self, leaf: Array, place: PartitionSpec, rows: int) -> Array:
+    def _get(self, leaf: Array, place: PartitionSpec, rows: int) -> Any:
         if is_key(leaf):
             return jax.random.wrap_key_data(self._get(jax.random.key_data(leaf), place, rows))
-        host = leaf if leaf.is_fully_addressable else multihost_utils.process_allgather(leaf, tiled=True)
-        host = np.asarray(host)
+        host = self._in_pieces(leaf) if place == ROWS and self.by_processes else np.asarray(leaf)
         # A copy: a view of a device array keeps the next step from using its memory again.
-        return jnp.array(in_order(host, self.mesh.size)[:rows] if place == ROWS else host)
+        return np.array(in_order(host, self.mesh.size)[:rows] if place == ROWS else host)
+
+    def _in_pieces(self, leaf: Array) -> np.ndarray:
+        """Copies the rows of devices of several processes to the host, few at a time for want of memory."""
+        own = leaf.shape[0] // self.mesh.size
+        found = np.empty((self.mesh.size, own, *leaf.shape[1:]), leaf.dtype)
+        size = min(max(PIECE // (leaf.nbytes // own), 1), own)
+        for start in range(0, own, size):
+            first = min(start, own - size)
+            found[:, first : first + size] = np.asarray(_piece(leaf, jnp.int32(first), size, self.mesh))
+        return found.reshape(leaf.shape)
+
+
+@partial(jax.jit, static_argnames=("size", "mesh"))
+def _piece(leaf: Array, start: Array, size: int, mesh: Mesh) -> Array:
+    """Returns some rows of each device, on all devices: an array [devices, rows, ...]."""
+
+    def on_each(leaf, start):
+        return lax.all_gather(lax.dynamic_slice_in_dim(leaf, start, size), AXIS)
+
+    return jax.shard_map(
+        on_each, mesh=mesh, in_specs=(ROWS, EVERYWHERE), out_specs=EVERYWHERE, check_vma=False
+    )(leaf, start)
 
 
 def by_device(rows: np.ndarray, devices: int) -> np.ndarray:

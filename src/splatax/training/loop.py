@@ -20,8 +20,8 @@ from splatax.training.capacity import bucket_for, pad, without_broken
 from splatax.training.feed import rows_for
 from splatax.training.fingerprints import facts_of
 from splatax.training.initialize import require_visible
-from splatax.training.optimizer import inherit
 from splatax.training.recipes import Recipe
+from splatax.training.refining import Due, Kept, planned, rows_after
 from splatax.training.schedule import Schedule
 from splatax.training.step import Faults, TrainState
 from splatax.training.steppers import Stepper, stepper_for
@@ -85,8 +85,8 @@ class Progress:
         Render this to display a scene that grows: its shape, and with it the compiled program, changes
         rarely.
         """
-        state = self._stepper.gathered(self._state, self._rows)
-        return replace(state.gaussians, low_pass=self._low_pass)
+        gaussians = jax.tree.map(jnp.asarray, self._stepper.in_order(self._state.gaussians, self._rows))
+        return replace(gaussians, low_pass=self._low_pass)
 
 
 def fit(dataset: Dataset, recipe: Recipe) -> Gaussians:
@@ -200,9 +200,8 @@ def _steps(
     for step, seen in enumerate(feed, done + 1):
         state, loss = stepper.step(state, seen, recipe)
         if refinement := schedule.refinement(step, recipe.density):
-            state, key = stepper.gathered(state, rows), jax.random.fold_in(refine_key, step)
-            state, count = _refined(state, count, refinement, dataset.extent, recipe, key)
-            rows, state = len(state.gaussians), stepper.placed(state)
+            due = Due(refinement, dataset.extent, jax.random.fold_in(refine_key, step))
+            state, rows, count = _refined(state, rows, count, due, recipe, stepper)
         yield Progress(step, total, loss, count, state, rows, stepper, recipe.drawing.low_pass)
         planned = pace(step)
         if planned is not None:
@@ -213,28 +212,27 @@ def _steps(
 
 
 def _refined(
-    state: TrainState, count: int, refinement: int, extent: float, recipe: Recipe, key: PRNGKeyArray
-) -> tuple[TrainState, int]:
+    state: TrainState, rows: int, count: int, due: Due, recipe: Recipe, stepper: Stepper
+) -> tuple[TrainState, int, int]:
     """Removes broken Gaussians, and lets density control add and remove others.
 
     Args:
-        state: the state, whose rows are in order.
+        state: the state, as the stepper holds it.
+        rows: of the scene, with its empty slots.
         count: number of living Gaussians.
-        refinement: step of the recipe whose refinement is due.
-        extent: of the scene, world units.
+        due: the refinement.
         recipe: the settings.
-        key: random key of the refinement.
+        stepper: makes the steps.
 
     Returns:
-        The state and the number of living Gaussians.
+        The state, its number of rows, and the number of living Gaussians.
     """
     gaussians, broken = without_broken(state.gaussians)
-    update = recipe.density.refine(state.density_state, gaussians, count, refinement, extent, key)
-    refined = replace(
-        state,
-        gaussians=update.gaussians,
-        opt_state=inherit(state.opt_state, update.lineage, update.gaussians, recipe.optimizer.rule),
-        density_state=update.state,
-        faults=state.faults._replace(gaussians=state.faults.gaussians + broken),
-    )
-    return refined, update.count
+    columns = stepper.in_order(recipe.density.columns(state.density_state, gaussians), rows)
+    plan = planned(columns, count, due, recipe)
+    rows = rows_after(plan, rows)
+    kept = stepper.refined(Kept(gaussians, state.opt_state, state.density_state), plan, rows, recipe)
+    faults = state.faults
+    if broken:
+        faults = faults._replace(gaussians=faults.gaussians + broken)
+    return replace(state, **kept._asdict(), faults=faults), rows, plan.count

@@ -1,6 +1,7 @@
 """The optimizer of the scene: an update rule of optax, a learning rate for each field, and noise."""
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any
@@ -14,7 +15,7 @@ from splatax.gaussians import ARRAYS, Gaussians
 from splatax.math import harmonics, quaternions
 from splatax.pytrees import pytree
 from splatax.training.noise import NoNoise
-from splatax.training.protocols import Lineage, Noise, Reach, UpdateRule
+from splatax.training.protocols import Noise, Reach, UpdateRule
 
 
 @dataclass(frozen=True)
@@ -161,34 +162,34 @@ def update(
     return replace(gaussians, quats=jax.vmap(quaternions.normalize)(gaussians.quats)), opt_state
 
 
-@partial(jax.jit, static_argnames="rule")
-def inherit(
-    opt_state: optax.OptState, lineage: Lineage, gaussians: Gaussians, rule: UpdateRule
+def restarted(
+    opt_state: optax.OptState,
+    newborn: Bool[Array, " n"],
+    fields: Collection[str],
+    gaussians: Gaussians,
+    rule: UpdateRule,
 ) -> optax.OptState:
-    """Moves the optimizer state of each Gaussian to its new row; that of newborns starts anew.
+    """Returns the optimizer state after a refinement: that of newborns starts anew.
 
     Args:
-        opt_state: of the rule's transformation, for the old rows.
-        lineage: origin of the new rows.
-        gaussians: the refined scene.
+        opt_state: of the rule's transformation, for the parent of each row.
+        newborn: the rows that start anew.
+        fields: names of fields that start anew in every row.
+        gaussians: the refined scene, or a part of its rows.
         rule: builds the transformation.
 
     Returns:
-        The state for the new rows. Whatever is not of the scene's shape, such as a step count, is kept.
+        The state. Whatever is not of the scene's shape, such as a step count, is kept.
     """
 
-    def moved(leaf: Array | optax.MaskedNode) -> Array | optax.MaskedNode:
-        return leaf if is_masked(leaf) else leaf[lineage.parent]
-
-    def starts_anew(leaf: Array | optax.MaskedNode, restarted: bool) -> Array | optax.MaskedNode:
-        return leaf if is_masked(leaf) else _broadcast(lineage.newborn | restarted, leaf.ndim)
+    def starts_anew(leaf: Array | optax.MaskedNode, field: bool) -> Array | optax.MaskedNode:
+        return leaf if is_masked(leaf) else _broadcast(newborn | field, leaf.ndim)
 
     transformation = rule()
     map_params = partial(optax.tree_utils.tree_map_params, transformation, is_leaf=is_masked)
-    inherited = map_params(moved, opt_state)
-    flags: list[Any] = [name in lineage.restarted for name in ARRAYS]
-    anew = map_params(starts_anew, inherited, Gaussians(*flags), transform_non_params=lambda _: False)
-    return jax.tree.map(jnp.where, anew, transformation.init(gaussians), inherited)
+    flags: list[Any] = [name in fields for name in ARRAYS]
+    anew = map_params(starts_anew, opt_state, Gaussians(*flags), transform_non_params=lambda _: False)
+    return jax.tree.map(jnp.where, anew, transformation.init(gaussians), opt_state)
 
 
 def is_masked(node: object) -> bool:

@@ -7,7 +7,7 @@ and takes back.
 """
 
 from collections.abc import Hashable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -17,7 +17,6 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from splatax.cameras import Camera
 from splatax.dataset import Dataset
 from splatax.gaussians import Gaussians
-from splatax.pytrees import pytree
 from splatax.splats import Splats
 from splatax.training.objectives import Geometry as Geometry
 from splatax.training.objectives import Loss as Loss
@@ -35,37 +34,30 @@ class Source(NamedTuple):
     place: Float[Array, "3"] | Float[np.ndarray, "3"] = np.zeros(3, np.float32)  # optical centre as given
 
 
-@pytree
 @dataclass(frozen=True)
-class Lineage:
-    """The origin of each row of a refined scene: all that the optimizer needs to follow the Gaussians.
+class DensityPlan:
+    """A plan of a refined scene: one entry for each Gaussian that it will have. On the host.
 
     Attributes:
-        parent: index of the old row whose optimizer state each new row inherits.
-        newborn: rows whose optimizer state starts anew instead; empty slots are among them.
-        restarted: names of the fields whose optimizer state starts anew in every row (static).
+        parents: row of the old scene that each row is made from.
+        newborn: rows whose optimizer state starts anew instead of following that of the parent.
+        given: what `DensityStrategy.reborn` needs for each row; a pytree of arrays.
+        restarted: names of the fields whose optimizer state starts anew in every row.
+        observes_anew: whether the state of the strategy starts anew; if not, it follows the parents.
+        most: number of Gaussians that the scene will never exceed, if that is known.
     """
 
-    parent: Int[Array, " n"]
-    newborn: Bool[Array, " n"]
-    restarted: tuple[str, ...] = field(default=(), metadata={"static": True})
+    parents: Int[np.ndarray, " n"]
+    newborn: Bool[np.ndarray, " n"]
+    given: Any = ()
+    restarted: tuple[str, ...] = ()
+    observes_anew: bool = True
+    most: int | None = None
 
-
-@dataclass(frozen=True)
-class DensityUpdate:
-    """A refined scene, as a density strategy returns it.
-
-    Attributes:
-        gaussians: the living Gaussians first, then empty slots.
-        count: number of living Gaussians.
-        lineage: origin of each row.
-        state: of the strategy, for the new rows.
-    """
-
-    gaussians: Gaussians
-    count: int
-    lineage: Lineage
-    state: Any
+    @property
+    def count(self) -> int:
+        """The number of Gaussians."""
+        return len(self.parents)
 
 
 @runtime_checkable
@@ -162,18 +154,31 @@ class DensityStrategy(Hashable, Protocol):
         """Returns whether the scene is refined after this many steps."""
         ...
 
-    def refine(
-        self, state: Any, gaussians: Gaussians, count: int, step: int, extent: float, key: PRNGKeyArray
-    ) -> DensityUpdate:
-        """Returns the refined scene. The same arguments give the same scene.
+    def columns(self, state: Any, gaussians: Gaussians) -> Any:
+        """Returns the arrays that `plan` reads, each with a row for every Gaussian, without changing them.
+
+        They are copied to the host of every process, unlike the rest of the scene: choose few.
+        """
+        ...
+
+    def plan(self, columns: Any, step: int, extent: float, key: PRNGKeyArray) -> DensityPlan:
+        """Returns which Gaussians the refined scene has. The same arguments give the same plan.
 
         Args:
-            state: observed since the last refinement.
-            gaussians: the scene; rows from `count` on are empty slots.
-            count: number of living Gaussians.
+            columns: those of the living Gaussians, on the host.
             step: number of steps made.
             extent: of the scene, world units.
             key: for random choices.
+        """
+        ...
+
+    def reborn(self, gaussians: Gaussians, state: Any, given: Any) -> Gaussians:
+        """Returns rows of the refined scene. Runs under `jit`, on any number of rows, each independently.
+
+        Args:
+            gaussians: the parent of each row.
+            state: of the strategy, for the parents.
+            given: of the plan, for the rows. Empty slots have zeros here; the result for them is not used.
         """
         ...
 

@@ -22,8 +22,8 @@ from splatax.scene.skeleton import Pose, spun
 from splatax.scene.skin import Rig
 from splatax.training.capacity import bucket_for, pad, without_broken
 from splatax.training.feed import batches
-from splatax.training.optimizer import inherit
 from splatax.training.recipes import Recipe, ShSchedule, default
+from splatax.training.refining import Due, Kept, on_one_device, parents_of, planned, rows_after
 from splatax.training.resolution import Resolution
 from splatax.training.rigged_step import Fixed, Learned, RigState, first_state, rig_step
 from splatax.training.schedule import Schedule
@@ -191,20 +191,19 @@ def _refined(
 ) -> tuple[RigState, int]:
     """Refines the scene; each new Gaussian has the joints and weights of its parent."""
     gaussians, _ = without_broken(state.gaussians)
-    refined = recipe.density.refine(
-        state.density_state, gaussians, count, refinement, extent, jax.random.fold_in(key, refinement)
-    )
-    parent = refined.lineage.parent
-    moments = jax.tree.map(lambda leaf: leaf[parent] if leaf.ndim else leaf, state.weights_state)
+    due = Due(refinement, extent, jax.random.fold_in(key, refinement))
+    plan = planned(recipe.density.columns(state.density_state, gaussians), count, due, recipe)
+    rows = rows_after(plan, len(gaussians))
+    kept = on_one_device(Kept(gaussians, state.opt_state, state.density_state), plan, rows, recipe)
+    parents = parents_of(plan, rows)
+    moments = jax.tree.map(lambda leaf: leaf[parents] if leaf.ndim else leaf, state.weights_state)
     return replace(
         state,
-        gaussians=refined.gaussians,
-        opt_state=inherit(state.opt_state, refined.lineage, refined.gaussians, recipe.optimizer.rule),
-        density_state=refined.state,
-        indices=state.indices[parent],
-        logits=state.logits[parent],
+        **kept._asdict(),
+        indices=state.indices[parents],
+        logits=state.logits[parents],
         weights_state=moments,
-    ), refined.count
+    ), plan.count
 
 
 REFINED = {  # what to learn beside the Gaussians, by the name of the command's option

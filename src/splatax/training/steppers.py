@@ -17,8 +17,9 @@ from splatax.training.feed import Batch, batches
 from splatax.training.groups import steps_of
 from splatax.training.photo_cache import PhotoCache
 from splatax.training.processes import require_same
-from splatax.training.protocols import ResolutionSchedule
+from splatax.training.protocols import DensityPlan, ResolutionSchedule
 from splatax.training.recipes import Recipe
+from splatax.training.refining import Kept, on_devices, on_one_device
 from splatax.training.schedule import Schedule
 from splatax.training.step import TrainState, train_step
 from splatax.training.traced import of_a_step
@@ -50,6 +51,14 @@ class Stepper(Protocol):
         """Returns the first `rows` rows of a state in order, valid until the next step."""
         ...
 
+    def in_order(self, arrays: Any, rows: int) -> Any:
+        """Returns the first `rows` rows of arrays of a state in order, valid until the next step."""
+        ...
+
+    def refined(self, kept: Kept, plan: DensityPlan, rows: int, recipe: Recipe) -> Kept:
+        """Returns what density control makes of a state; it has `rows` rows then."""
+        ...
+
     def feed(
         self, views: Sequence[View], recipe: Recipe, done: int, schedule: Schedule, room: int | float
     ) -> Iterator[Any]:
@@ -78,11 +87,19 @@ class OneView:
 
     def placed(self, state: TrainState) -> TrainState:
         """Returns the state as it is, on the device."""
-        return state if self.device is None else jax.device_put(state, self.device)
+        return jax.device_put(state, self.device)
 
     def gathered(self, state: TrainState, rows: int) -> TrainState:
         """Returns the state as it is."""
         return state
+
+    def in_order(self, arrays: Any, rows: int) -> Any:
+        """Returns the arrays as they are."""
+        return arrays
+
+    def refined(self, kept: Kept, plan: DensityPlan, rows: int, recipe: Recipe) -> Kept:
+        """Makes all rows at once."""
+        return on_one_device(kept, plan, rows, recipe)
 
     def feed(
         self, views: Sequence[View], recipe: Recipe, done: int, schedule: Schedule, room: int | float
@@ -120,8 +137,16 @@ class SeveralViews:
         return self.sharding.placed(state)
 
     def gathered(self, state: TrainState, rows: int) -> TrainState:
-        """Collects the rows of a state from the devices."""
+        """Copies the rows of a state to the host."""
         return self.sharding.gathered(state, rows)
+
+    def in_order(self, arrays: Any, rows: int) -> Any:
+        """Copies rows of arrays to the host."""
+        return self.sharding.in_order(arrays, rows)
+
+    def refined(self, kept: Kept, plan: DensityPlan, rows: int, recipe: Recipe) -> Kept:
+        """Makes the rows of each device there, from what the devices send each other."""
+        return on_devices(kept, plan, rows, recipe, self.sharding)
 
     def feed(
         self, views: Sequence[View], recipe: Recipe, done: int, schedule: Schedule, room: int | float

@@ -8,21 +8,20 @@ values (AbsGS, Ye et al. 2024).
 
 import math
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from scipy.special import expit, logit
 
 from splatax.gaussians import Gaussians
 from splatax.math import ellipsoids
 from splatax.splats import Splats
-from splatax.training.capacity import bucket_for, with_empty_slots
 from splatax.training.density.growth import require_limit
 from splatax.training.density.pulls import pulls
-from splatax.training.protocols import DensityUpdate, Lineage
+from splatax.training.protocols import DensityPlan
 
 
 class Observed(NamedTuple):
@@ -31,6 +30,28 @@ class Observed(NamedTuple):
     pull: Float[Array, " n"]  # sum of |dL/d means2d|, with the image running from -1 to 1
     views: Float[Array, " n"]  # number of views in which it was visible
     screen: Float[Array, " n"]  # largest extent seen, as a fraction of the image's longer side
+
+
+class Columns(NamedTuple):
+    """The columns on which the choice of children depends."""
+
+    opacity_logits: Float[np.ndarray, " n"] | Float[Array, " n"]
+    log_scales: Float[np.ndarray, "n 3"] | Float[Array, "n 3"]
+    pull: Float[np.ndarray, " n"] | Float[Array, " n"]
+    views: Float[np.ndarray, " n"] | Float[Array, " n"]
+    screen: Float[np.ndarray, " n"] | Float[Array, " n"]
+
+
+class Children(NamedTuple):
+    """The properties that each Gaussian of a refined scene gets from the plan."""
+
+    opacity_logits: Float[np.ndarray, " n"] | Float[Array, " n"]
+    split: (
+        Bool[np.ndarray, " n"] | Bool[Array, " n"]
+    )  # whether it is one of the two into which its parent was split
+    normal: (
+        Float[np.ndarray, "n 3"] | Float[Array, "n 3"]
+    )  # its place, in standard deviations along the axes of the parent
 
 
 @dataclass(frozen=True)
@@ -77,28 +98,41 @@ class Classic:
         """Returns whether the scene is densified or its opacities are reset after this many steps."""
         return step < self.until and (self._densifies(step) or self._resets(step))
 
-    def refine(
-        self, state: Observed, gaussians: Gaussians, count: int, step: int, extent: float, key: PRNGKeyArray
-    ) -> DensityUpdate:
-        """Densifies, prunes and resets opacities as due; see `DensityStrategy.refine`."""
-        lineage, state_rows = Lineage(jnp.arange(len(gaussians)), jnp.zeros(len(gaussians), bool)), state
+    def columns(self, state: Observed, gaussians: Gaussians) -> Columns:
+        """Returns opacities and sizes, and what was observed."""
+        return Columns(gaussians.opacity_logits, gaussians.log_scales, *state)
+
+    def plan(self, columns: Columns, step: int, extent: float, key: PRNGKeyArray) -> DensityPlan:
+        """Densifies, prunes and resets opacities as due; see `DensityStrategy.plan`."""
+        logits = columns.opacity_logits
+        parents = np.arange(len(logits))
+        kinds = np.full(len(logits), KEPT)
         if self._densifies(step):
-            parents, children = self._plan(state, gaussians, count, step, extent)
-            count = len(parents)
-            capacity = bucket_for(count, len(gaussians), self.max_gaussians)
-            padding = (0, capacity - count)
-            lineage = Lineage(
-                jnp.asarray(np.pad(parents, padding)),
-                jnp.asarray(np.pad(children != KEPT, padding, constant_values=True)),
-            )
-            split = jnp.asarray(np.pad(children == SPLIT, padding))
-            gaussians = _reborn(gaussians, lineage.parent, split, jnp.int32(count), self.shrink, key)
-            state_rows = self.init(capacity)
+            parents, kinds = self._children(columns, step, extent)
+        restarted: tuple[str, ...] = ()
         if self._resets(step):
-            highest = math.log(self.reset_opacity / (1 - self.reset_opacity))
-            gaussians = replace(gaussians, opacity_logits=jnp.minimum(gaussians.opacity_logits, highest))
-            lineage = replace(lineage, restarted=("opacity_logits",))
-        return DensityUpdate(gaussians, count, lineage, state_rows)
+            logits = np.minimum(logits, np.float32(logit(self.reset_opacity)))
+            restarted = ("opacity_logits",)
+        split = kinds == SPLIT
+        normal = np.zeros((len(parents), 3), np.float32)
+        draws = np.random.default_rng(np.asarray(jax.random.key_data(key)))
+        normal[split] = draws.standard_normal((int(split.sum()), 3), np.float32)
+        given = Children(logits[parents], split, normal)
+        return DensityPlan(
+            parents, kinds != KEPT, given, restarted, self._densifies(step), most=self.max_gaussians
+        )
+
+    def reborn(self, gaussians: Gaussians, state: Observed, given: Children) -> Gaussians:
+        """Returns copies of the parents; those of a split are smaller, and placed by its density."""
+        factors = jax.vmap(ellipsoids.covariance_factor)(gaussians.quats, gaussians.scales)
+        offsets = jnp.einsum("nij,nj->ni", factors, given.normal)
+        split = given.split[:, None]
+        return replace(
+            gaussians,
+            means=jnp.where(split, gaussians.means + offsets, gaussians.means),
+            log_scales=jnp.where(split, gaussians.log_scales - math.log(self.shrink), gaussians.log_scales),
+            opacity_logits=jnp.asarray(given.opacity_logits),
+        )
 
     def _densifies(self, step: int) -> bool:
         return step > self.start and step % self.every == 0
@@ -106,20 +140,20 @@ class Classic:
     def _resets(self, step: int) -> bool:
         return step % self.reset_every == 0
 
-    def _plan(
-        self, state: Observed, gaussians: Gaussians, count: int, step: int, extent: float
+    def _children(
+        self, columns: Columns, step: int, extent: float
     ) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
-        """Returns the parent row of each new Gaussian, and its kind: KEPT, CLONE or SPLIT."""
-        pull, views, screen = (np.asarray(leaf[:count]) for leaf in state)
-        size = np.exp(np.asarray(gaussians.log_scales[:count])).max(axis=1)
-        faint = np.asarray(gaussians.opacities[:count]) < self.min_opacity
+        """Returns the parent of each new Gaussian, and its kind: KEPT, CLONE or SPLIT."""
+        count, pull, screen = len(columns.pull), columns.pull, columns.screen
+        size = np.exp(columns.log_scales).max(axis=1)
+        faint = expit(columns.opacity_logits) < self.min_opacity
         oversized = np.zeros(count, bool)
         if step > self.reset_every:
             oversized = size > self.max_world_size * extent
             if step <= self.screen_until:
                 oversized |= screen > self.max_screen_size
 
-        pull = np.where(faint, 0, pull / np.maximum(views, 1))
+        pull = np.where(faint, 0, pull / np.maximum(columns.views, 1))
         chosen = self._most_pulled(pull, room=self.max_gaussians - count)
         large = size > self.dense_size * extent
         clone, split = np.flatnonzero(chosen & ~large), np.flatnonzero(chosen & large)
@@ -141,24 +175,3 @@ class Classic:
 
 
 KEPT, CLONE, SPLIT = 0, 1, 2
-
-
-@partial(jax.jit, static_argnames="shrink")
-def _reborn(
-    gaussians: Gaussians,
-    parents: Int[Array, " m"],
-    split: Bool[Array, " m"],
-    count: Int[Array, ""],
-    shrink: float,
-    key: PRNGKeyArray,
-) -> Gaussians:
-    """Returns copies of the parents; those of a split are smaller, and placed by the parent's density."""
-    children = jax.tree.map(lambda leaf: leaf[parents], gaussians)
-    factors = jax.vmap(ellipsoids.covariance_factor)(children.quats, children.scales)
-    offsets = jnp.einsum("nij,nj->ni", factors, jax.random.normal(key, children.means.shape))
-    children = replace(
-        children,
-        means=jnp.where(split[:, None], children.means + offsets, children.means),
-        log_scales=jnp.where(split[:, None], children.log_scales - math.log(shrink), children.log_scales),
-    )
-    return with_empty_slots(children, count)

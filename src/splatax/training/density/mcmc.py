@@ -7,19 +7,27 @@ one, and new Gaussians are placed onto living ones, such that the image hardly c
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+from scipy.special import expit, logit
 
 from splatax.gaussians import Gaussians
 from splatax.splats import Splats
-from splatax.training.capacity import bucket_for, with_empty_slots
 from splatax.training.density.growth import ByFactor, Growth, require_limit
-from splatax.training.protocols import DensityUpdate, Lineage
+from splatax.training.protocols import DensityPlan
 
 MAX_COPIES = 51  # by which one Gaussian is replaced in a refinement (the authors' limit)
+
+
+class Copies(NamedTuple):
+    """The properties that each Gaussian gets in a refinement; without copies, the same as before."""
+
+    opacity_logits: Float[np.ndarray, " n"] | Float[Array, " n"]
+    log_factors: Float[np.ndarray, " n"] | Float[Array, " n"]  # of the scales
 
 
 @dataclass(frozen=True)
@@ -52,40 +60,37 @@ class Mcmc:
         """Returns whether the scene is refined after this many steps."""
         return self.start < step < self.until and step % self.every == 0
 
-    def refine(
-        self, state: tuple[()], gaussians: Gaussians, count: int, step: int, extent: float, key: PRNGKeyArray
-    ) -> DensityUpdate:
-        """Relocates the dead Gaussians and adds new ones; see `DensityStrategy.refine`."""
-        opacities = np.asarray(gaussians.opacities, np.float64)[:count]
+    def columns(self, state: tuple[()], gaussians: Gaussians) -> Float[Array, " n"]:
+        """Returns the opacity logits."""
+        return gaussians.opacity_logits
+
+    def plan(
+        self, columns: Float[np.ndarray, " n"], step: int, extent: float, key: PRNGKeyArray
+    ) -> DensityPlan:
+        """Relocates the dead Gaussians and adds new ones; see `DensityStrategy.plan`."""
+        logits, count = columns, len(columns)
+        opacities = expit(logits.astype(np.float64))
         dead = opacities <= self.min_opacity
         if dead.all():  # there is no Gaussian to move them onto
-            rows = len(gaussians)
-            return DensityUpdate(gaussians, count, Lineage(jnp.arange(rows), jnp.zeros(rows, bool)), state)
+            given = Copies(logits, np.zeros_like(logits))
+            return DensityPlan(np.arange(count), np.zeros(count, bool), given, most=self.max_gaussians)
         grown = max(self.growth.after(count, step, self.every, self.max_gaussians), count)
         seekers = np.concatenate([np.flatnonzero(dead), np.arange(count, grown)])
         sources = in_proportion(np.where(dead, 0, opacities), len(seekers), key)
 
-        parent = np.arange(bucket_for(grown, len(gaussians), self.max_gaussians))
-        parent[seekers] = sources
-        parent[grown:] = 0
+        parents = np.arange(grown)
+        parents[seekers] = sources
         copies = np.minimum(1 + np.bincount(sources, minlength=count), MAX_COPIES)
         opacity, factor = relocated(opacities, copies)
         opacity = np.clip(opacity, self.min_opacity, 1 - np.finfo(np.float32).eps)
-        newborn = (copies > 1)[parent]  # sources among them
-        newborn[grown:] = True
-        return DensityUpdate(
-            _moved(
-                gaussians,
-                jnp.asarray(parent),
-                jnp.asarray(newborn),
-                jnp.asarray(np.log(opacity / (1 - opacity))[parent], jnp.float32),
-                jnp.asarray(np.log(factor)[parent], jnp.float32),
-                jnp.int32(grown),
-            ),
-            grown,
-            Lineage(jnp.asarray(parent), jnp.asarray(newborn)),
-            state,
-        )
+        logits = np.where(copies > 1, logit(opacity), logits).astype(np.float32)
+        given = Copies(logits[parents], np.log(factor).astype(np.float32)[parents])
+        return DensityPlan(parents, (copies > 1)[parents], given, most=self.max_gaussians)
+
+    def reborn(self, gaussians: Gaussians, state: tuple[()], given: Copies) -> Gaussians:
+        """Returns copies of the parents, with new opacities and scales where a parent has several copies."""
+        scales = gaussians.log_scales + given.log_factors[:, None]
+        return replace(gaussians, opacity_logits=jnp.asarray(given.opacity_logits), log_scales=scales)
 
 
 def in_proportion(weights: Float[np.ndarray, " n"], draws: int, key: PRNGKeyArray) -> Int[np.ndarray, " m"]:
@@ -130,22 +135,3 @@ def relocated(
 _BINOMIALS = np.array(
     [[float(math.comb(n, j)) for j in range(MAX_COPIES + 1)] for n in range(MAX_COPIES + 1)]
 )
-
-
-@jax.jit
-def _moved(
-    gaussians: Gaussians,
-    parent: Int[Array, " m"],
-    newborn: Bool[Array, " m"],
-    opacity_logits: Float[Array, " m"],
-    log_factors: Float[Array, " m"],
-    count: Int[Array, ""],
-) -> Gaussians:
-    """Returns copies of the parents, with new opacities and scales where a parent has several copies."""
-    moved = jax.tree.map(lambda leaf: leaf[parent], gaussians)
-    moved = replace(
-        moved,
-        opacity_logits=jnp.where(newborn, opacity_logits, moved.opacity_logits),
-        log_scales=moved.log_scales + log_factors[:, None],
-    )
-    return with_empty_slots(moved, count)

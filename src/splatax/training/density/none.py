@@ -7,7 +7,7 @@ from jaxtyping import PRNGKeyArray
 
 from splatax.gaussians import Gaussians
 from splatax.splats import Splats
-from splatax.training.protocols import DensityUpdate
+from splatax.training.protocols import DensityPlan
 
 
 @dataclass(frozen=True)
@@ -30,8 +30,14 @@ class NoDensityControl:
         """Returns False."""
         return False
 
-    def refine(
-        self, state: Any, gaussians: Gaussians, count: int, step: int, extent: float, key: PRNGKeyArray
-    ) -> DensityUpdate:
+    def columns(self, state: Any, gaussians: Gaussians) -> tuple[()]:
+        """Returns none."""
+        return ()
+
+    def plan(self, columns: Any, step: int, extent: float, key: PRNGKeyArray) -> DensityPlan:
         """Fails: it is never due."""
         raise AssertionError("never due")
+
+    def reborn(self, gaussians: Gaussians, state: Any, given: Any) -> Gaussians:
+        """Returns the Gaussians unchanged."""
+        return gaussians

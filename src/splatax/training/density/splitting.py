@@ -6,21 +6,20 @@ is chosen with a probability that grows with the pull on it, not with its opacit
 """
 
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from scipy.special import expit
 
 from splatax.gaussians import Gaussians
 from splatax.math import ellipsoids
 from splatax.splats import Splats
-from splatax.training.capacity import bucket_for, with_empty_slots
 from splatax.training.density.growth import ByFactor, Growth, require_limit
 from splatax.training.density.pulls import pulls
-from splatax.training.protocols import DensityUpdate, Lineage
+from splatax.training.protocols import DensityPlan
 
 
 class Observed(NamedTuple):
@@ -29,6 +28,14 @@ class Observed(NamedTuple):
     pull: Float[Array, " n"]  # sum
     views: Float[Array, " n"]  # number of views in which it was visible
     nearest: Float[Array, " n"]  # least depth at which its centre was in a photo, world units, or infinite
+
+
+class Columns(NamedTuple):
+    """The columns on which the choice of parents depends."""
+
+    opacity_logits: Float[np.ndarray, " n"] | Float[Array, " n"]
+    pull: Float[np.ndarray, " n"] | Float[Array, " n"]
+    views: Float[np.ndarray, " n"] | Float[Array, " n"]
 
 
 @dataclass(frozen=True)
@@ -89,38 +96,40 @@ class Splitting:
         """Returns whether the scene is refined after this many steps."""
         return self.start < step < self.until and step % self.every == 0
 
-    def refine(
-        self, state: Observed, gaussians: Gaussians, count: int, step: int, extent: float, key: PRNGKeyArray
-    ) -> DensityUpdate:
-        """Relocates the dead Gaussians and adds new ones; see `DensityStrategy.refine`.
+    def columns(self, state: Observed, gaussians: Gaussians) -> Columns:
+        """Returns opacities, and what was observed of the pull."""
+        return Columns(gaussians.opacity_logits, state.pull, state.views)
+
+    def plan(self, columns: Columns, step: int, extent: float, key: PRNGKeyArray) -> DensityPlan:
+        """Relocates the dead Gaussians and adds new ones; see `DensityStrategy.plan`.
 
         A parent is split once, so a refinement at most doubles the number of Gaussians. Dead Gaussians for
         which there is no parent stay where they are.
+        """
+        logits, pull, views = (leaf.astype(np.float64) for leaf in columns)
+        count, dead = len(logits), expit(logits) <= self.min_opacity
+        weights = np.where(dead, 0, (pull / np.maximum(views, 1)) ** self.focus)
+        grown = max(self.growth.after(count, step, self.every, self.max_gaussians), count)
+        rows = np.concatenate([np.flatnonzero(dead), np.arange(count, grown)])  # to be filled
+        split = without_replacement(weights, len(rows), key)
+        rows = rows[: len(split)]
+
+        parents = np.arange(max(count, int(rows.max(initial=-1)) + 1))
+        parents[rows] = split
+        side = np.zeros(len(parents), np.float32)  # of the parent's centre, for a child
+        side[rows], side[split] = 1, -1
+        return DensityPlan(parents, side != 0, side, most=self.max_gaussians)
+
+    def reborn(self, gaussians: Gaussians, state: Observed, given: Float[Array, " n"]) -> Gaussians:
+        """Returns copies of the parents, or children on the given side of them.
 
         Scales above `largest` are cut first. A Gaussian behind a wall can grow without being seen, until
         it covers the picture of a camera beside which it lies: the linear projection of a Gaussian that is
         large compared with its depth covers far more than the Gaussian.
         """
         limit = jnp.log(self.largest * state.nearest)
-        gaussians = replace(gaussians, log_scales=jnp.minimum(gaussians.log_scales, limit[:, None]))
-        dead = np.asarray(gaussians.opacities[:count]) <= self.min_opacity
-        pull, views = (np.asarray(leaf[:count], np.float64) for leaf in (state.pull, state.views))
-        weights = np.where(dead, 0, (pull / np.maximum(views, 1)) ** self.focus)
-        grown = max(self.growth.after(count, step, self.every, self.max_gaussians), count)
-        rows = np.concatenate([np.flatnonzero(dead), np.arange(count, grown)])  # to be filled
-        parents = without_replacement(weights, len(rows), key)
-        rows = rows[: len(parents)]
-        count = max(count, int(rows.max(initial=-1)) + 1)
-
-        capacity = bucket_for(count, len(gaussians), self.max_gaussians)
-        parent = np.arange(capacity)
-        parent[count:] = 0
-        parent[rows] = parents
-        side = np.zeros(capacity, np.float32)  # of the parent's centre, for a child
-        side[rows], side[parents] = 1, -1
-        lineage = Lineage(jnp.asarray(parent), jnp.asarray((side != 0) | (np.arange(capacity) >= count)))
-        split = _split(gaussians, lineage.parent, jnp.asarray(side), jnp.int32(count), self.halves)
-        return DensityUpdate(split, count, lineage, self.init(capacity))
+        limited = replace(gaussians, log_scales=jnp.minimum(gaussians.log_scales, limit[:, None]))
+        return _split(limited, given, self.halves)
 
 
 def without_replacement(
@@ -137,26 +146,17 @@ def without_replacement(
     return possible[order[:draws]]
 
 
-@partial(jax.jit, static_argnames="halves")
-def _split(
-    gaussians: Gaussians,
-    parent: Int[Array, " m"],
-    side: Float[Array, " m"],
-    count: Int[Array, ""],
-    halves: Halves,
-) -> Gaussians:
-    """Returns copies of the parents; a row whose side is 1 or -1 is a child on that side of its parent."""
-    rows = jax.tree.map(lambda leaf: leaf[parent], gaussians)
-    is_child: Bool[Array, " m"] = side != 0
+def _split(rows: Gaussians, side: Float[Array, " n"], halves: Halves) -> Gaussians:
+    """Returns Gaussians; one whose side is 1 or -1 is the child on that side of its parent."""
+    is_child: Bool[Array, " n"] = side != 0
     longest = jax.nn.one_hot(jnp.argmax(rows.log_scales, axis=1), 3)
     axes = jax.vmap(ellipsoids.covariance_factor)(rows.quats, rows.scales)
     offsets = halves.distance * side[:, None] * jnp.einsum("nij,nj->ni", axes, longest)
     factors = jnp.where(longest > 0, halves.along, halves.across)
     opacity = jnp.clip(halves.opacity * rows.opacities, 1e-6, 1 - 1e-6)
-    children = replace(
+    return replace(
         rows,
         means=rows.means + offsets,
         log_scales=rows.log_scales + jnp.where(is_child[:, None], jnp.log(factors), 0),
         opacity_logits=jnp.where(is_child, jnp.log(opacity / (1 - opacity)), rows.opacity_logits),
     )
-    return with_empty_slots(children, count)

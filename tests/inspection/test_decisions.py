@@ -9,7 +9,7 @@ from scipy import ndimage
 
 import splatax as sx
 from scenes import camera_at
-from splatax.inspection import decisions
+from splatax.inspection import decisions, examine, problems_of
 from splatax.inspection.decisions import Sight, look_first
 from splatax.inspection.looks import Look
 
@@ -80,9 +80,18 @@ def test_the_least_blurred_photos_above_a_fifth_are_kept_and_named():
         Sight(sx.View(name, CAMERA, lambda: BLACK), Look(sharpness=level), np.zeros((24, 32)), np.zeros(0))
         for name, level in levels.items()
     ]
-    spared, kept = decisions.blurred_of(sights)
+    spared, kept = decisions.blurred_of(sights, set(levels))
     assert spared == ("16.jpg", "17.jpg", "18.jpg", "20.jpg")
     assert kept == ("19.jpg",)
+
+
+def test_inspection_and_training_call_the_same_photos_blurred(plain, tmp_path):
+    names = [plain.train[2].name, plain.train[9].name, plain.test[1].name]
+    blurred = changed(plain, tmp_path, dict.fromkeys(names, lambda p: ndimage.gaussian_filter(p, (2, 2, 0))))
+    (problem,) = (each for each in problems_of(examine(tmp_path, blurred)) if "blurred" in each.what)
+    assert problem.photos == tuple(sorted(names))
+    found = look_first(blurred)
+    assert sorted(found.blurred + found.kept) == sorted(names[:2])  # a held-out one is not trained on
 
 
 def test_photos_that_there_is_no_time_for_are_counted(plain, monkeypatch):
@@ -119,11 +128,12 @@ def test_a_face_without_detail_does_not_make_a_panorama_blurred():
         for photo in range(PHOTOS)
         for face in ("front", "right", "back", "left", "up", "down")
     ]
-    assert decisions.blurred_of(sharp) == ((), ())
+    training = {each.view.name for each in sharp}
+    assert decisions.blurred_of(sharp, training) == ((), ())
     blurred = [
         replace(each, look=Look(sharpness=2.0)) if each.view.photo == "05.jpg" else each for each in sharp
     ]
-    assert decisions.blurred_of(blurred) == (("05.jpg",), ())
+    assert decisions.blurred_of(blurred, training) == (("05.jpg",), ())
 
 
 def test_a_panorama_repeats_another_only_if_all_of_its_faces_do():

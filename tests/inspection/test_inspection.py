@@ -16,7 +16,8 @@ from captures import SIZE, model_of, pinhole, write_capture, write_transforms
 from scenes import camera_at
 from splatax.cameras import look_at, rig
 from splatax.inspection import Examination, examine, problems_of, seconds_to_train
-from splatax.inspection.looks import Look, looks_of, robust_scores, spread, thumbnail
+from splatax.inspection.looks import Look, looks_of, spread, thumbnail
+from splatax.inspection.outliers import robust_scores
 from splatax.io.images import read
 from splatax.report.capture import MOST, capture_page, facts_of, roughly
 from splatax.report.plan import upright_frame

@@ -2,25 +2,15 @@
 
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
 
-from splatax.cameras import Camera
-from splatax.cameras.geometry import seen_at
 from splatax.dataset import Dataset, Pixels, View, by_photo, photos_in
-from splatax.inspection.looks import (
-    LONGEST_SIDE,
-    LUMINANCE,
-    WORKERS,
-    Look,
-    look_of,
-    robust_scores,
-    spread,
-)
-from splatax.inspection.problems import FEWEST_TO_COMPARE, LEAST_SHARPNESS, OUTLIER
+from splatax.inspection.blur import blurred
+from splatax.inspection.detail import SHADES, SeenPoints, sampled_points, seen_points
+from splatax.inspection.looks import LONGEST_SIDE, LUMINANCE, Look, in_time, joined, look_of
 from splatax.io import images
 from splatax.resampling import resize
 
@@ -32,9 +22,6 @@ SAME_DIRECTION = 0.02  # and the angle between them, radians
 FEW = 15  # photos up to which blurred ones stay: each shows something that no other does
 LARGEST_FRACTION = 0.2  # of the training photos that may be left out as blurred
 UNEVEN = 0.15  # stops: standard deviation of exposure from which compensating helps; see docs/cameras.md
-SAMPLES = 3000  # points at which photos are compared
-SHADES = (0.04, 0.95)  # luminance outside of which a sample is noise or saturated
-CELLS, SURFACE = 24, 1.1  # columns of the depth grid; how much deeper than the nearest point still is visible
 FEWEST_SAMPLES = 30  # of a photo
 ROUNDS = 10
 
@@ -71,7 +58,7 @@ class Sight:
 
     Attributes:
         view: its view.
-        look: its sharpness and exposure.
+        look: its sharpness, exposure and detail.
         thumbnail: luminance in [0, 255], at the size `THUMBNAIL`.
         samples: log2 of its luminance at sampled points; NaN where it does not see them.
     """
@@ -91,13 +78,11 @@ def look_first(dataset: Dataset) -> Findings:
     Raises:
         DatasetError: if a photo is damaged, before hours of training end with that.
     """
-    chosen = np.random.default_rng(0).permutation(len(dataset.points))[:SAMPLES]
-    points = dataset.points.positions[chosen].astype(np.float64)
-    sights = list(sights_of(dataset, points, time.monotonic() + LOOKING))
+    sights = list(sights_of(dataset, sampled_points(dataset), time.monotonic() + LOOKING))
     training = {view.name for view in dataset.train}
-    blurred, kept = blurred_of([sight for sight in sights if sight.view.name in training])
+    spared, kept = blurred_of(sights, training)
     return Findings(
-        blurred,
+        spared,
         kept,
         repeated_photos(sights, repeated_of(sights, training, dataset.extent)),
         exposure_of([sight.samples for sight in sights]),
@@ -110,17 +95,10 @@ def sights_of(dataset: Dataset, points: Float[np.ndarray, "n 3"], deadline: floa
     """Yields the photos that can be read before the deadline, sorted by name."""
     views = {view.name: view for view in dataset.views}
 
-    def sight_in_time(name: str) -> Sight | None:
-        if time.monotonic() >= deadline:
-            return None
+    def sight(name: str) -> Sight:
         return sight_of(views[name], images.glance(dataset.survey.files[name], LONGEST_SIDE), points)
 
-    names = list(spread(sorted(views.keys() & dataset.survey.files.keys())))
-    with ThreadPoolExecutor(WORKERS) as pool:
-        found = dict(zip(names, pool.map(sight_in_time, names), strict=True))
-    for name in sorted(found):
-        if (sight := found[name]) is not None:
-            yield sight
+    yield from in_time(views.keys() & dataset.survey.files.keys(), deadline, sight).values()
 
 
 def sight_of(view: View, photo: Pixels, points: Float[np.ndarray, "n 3"]) -> Sight:
@@ -129,27 +107,16 @@ def sight_of(view: View, photo: Pixels, points: Float[np.ndarray, "n 3"]) -> Sig
     shades = np.repeat(np.round(luminance).astype(np.uint8)[..., None], 3, axis=2)
     thumbnail = resize(shades, *THUMBNAIL)[..., 0].astype(np.float64)
     height, width = luminance.shape
-    upright = abs(width * view.camera.height / view.camera.width - height) <= 0.05 * height
-    samples = shades_at(points, view.camera, luminance / 255) if upright else np.full(len(points), np.nan)
-    return Sight(view, look_of(photo), thumbnail, samples)
+    seen = seen_points(points, view.camera, width, height)
+    return Sight(view, look_of(photo, seen), thumbnail, shades_at(seen, luminance / 255))
 
 
-def shades_at(
-    points: Float[np.ndarray, "n 3"], camera: Camera, luminance: Float[np.ndarray, "h w"]
-) -> Float[np.ndarray, " n"]:
+def shades_at(seen: SeenPoints, luminance: Float[np.ndarray, "h w"]) -> Float[np.ndarray, " n"]:
     """Returns log2 of a photo's luminance at points; NaN where it does not see them, or is black or white."""
-    height, width = luminance.shape
-    pixels, depth = seen_at(camera, points)
-    x, y = (pixels * [width / camera.width, height / camera.height]).T
-    inside = np.flatnonzero((x >= 0) & (x < width) & (y >= 0) & (y < height))  # false for NaN
-    row, column, depth = y[inside].astype(int), x[inside].astype(int), depth[inside]
-    cell = (row * CELLS // width) * CELLS + column * CELLS // width
-    nearest = np.full(cell.max(initial=0) + 1, np.inf)
-    np.minimum.at(nearest, cell, depth)
-    shade = luminance[row, column]
-    seen = (depth <= SURFACE * nearest[cell]) & (shade > SHADES[0]) & (shade < SHADES[1])
-    samples = np.full(len(points), np.nan)
-    samples[inside[seen]] = np.log2(shade[seen])
+    shade = luminance[seen.rows, seen.columns]
+    usable = (shade > SHADES[0]) & (shade < SHADES[1])
+    samples = np.full(seen.total, np.nan)
+    samples[seen.indices[usable]] = np.log2(shade[usable])
     return samples
 
 
@@ -173,16 +140,18 @@ def exposure_of(samples: Sequence[Float[np.ndarray, " n"]]) -> float | None:
     return float(exposures.std())
 
 
-def blurred_of(sights: Sequence[Sight]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Returns the photos that are much less sharp than the others: those that can be spared, and the rest."""
-    # A face of a 360-degree photo may show nothing but a ceiling: its sharpness is the mean of its faces.
-    looks = by_photo((s.view for s in sights), {s.view.name: s.look.sharpness for s in sights})
-    if len(looks) < FEWEST_TO_COMPARE:
-        return (), ()
-    names, sharpness = list(looks), np.log([max(float(np.mean(each)), 1e-3) for each in looks.values()])
-    scores = robust_scores(sharpness, LEAST_SHARPNESS)
-    found = [names[i] for i in np.argsort(scores) if scores[i] < -OUTLIER]
-    spared = 0 if len(looks) <= FEW else int(LARGEST_FRACTION * len(names))
+def blurred_of(sights: Sequence[Sight], training: set[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Returns the training photos that are blurred: those that can be spared, and the rest.
+
+    Args:
+        sights: of all views; a photo is compared with held-out ones too.
+        training: names of the training views.
+    """
+    faces = by_photo((sight.view for sight in sights), {sight.view.name: sight.look for sight in sights})
+    looks = {photo: each[0] if len(each) == 1 else joined(each) for photo, each in faces.items()}
+    trained = {sight.view.photo for sight in sights if sight.view.name in training}
+    found = [name for name in blurred(looks) if name in trained]
+    spared = 0 if len(trained) <= FEW else int(LARGEST_FRACTION * len(trained))
     return tuple(sorted(found[:spared])), tuple(sorted(found[spared:]))
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from splatax.cameras.lenses import Equirectangular
 from splatax.dataset import Dataset, View, by_photo, mask_of
 from splatax.errors import DatasetError, InputError, shown
+from splatax.inspection.detail import sampled_points
 from splatax.inspection.looks import Look, joined, looks_of
 from splatax.reconstruction.photos import HEIF_PACKAGE, Photo, files_of, is_heif, learn_heif, photo_of
 from splatax.runs import forecast
@@ -91,11 +92,13 @@ def examine(path: Path, dataset: Dataset | None) -> Examination:
     gaussians = room_for(dataset)
     width, height, photos_bytes = forecast.photos(dataset)
     in_memory = min(photos_bytes, room_within(None, dataset, 0).photos)
+    views = {view.name: view for view in dataset.views}
+    seen = looks_of(survey.files, LOOKING, views, sampled_points(dataset))
     return replace(
         known,
         looks={
             name: looks[0] if len(looks) == 1 else joined(looks)
-            for name, looks in by_photo(dataset.views, looks_of(survey.files, LOOKING)).items()
+            for name, looks in by_photo(dataset.views, seen).items()
         },
         coverage=coverage,
         bad_masks=bad_masks,

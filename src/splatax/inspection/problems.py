@@ -5,16 +5,15 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
 
+from splatax.inspection.blur import blurred
 from splatax.inspection.examination import Examination
-from splatax.inspection.looks import Look, robust_scores
+from splatax.inspection.looks import Look
+from splatax.inspection.outliers import outliers
 from splatax.io.datasets.photos import counted, listed
 
 FEW_VIEWS = 20
-FEWEST_TO_COMPARE = 5  # photos of which one can be called an outlier
-OUTLIER = 3.5  # robust standard deviations (Iglewicz and Hoaglin 1993)
-LEAST_EXPOSURE, LEAST_SHARPNESS = 0.15, 0.25  # standard deviations of log2 luminance and of log sharpness
+LEAST_EXPOSURE = 0.15  # standard deviation of log2 luminance
 DARK, MUCH_WHITE = 0.08, 0.2  # mean luminance; fraction of white pixels
 HIGH_ERROR = 1.5  # pixels, median
 TWICE = 2.0  # times the median of all views, from which a view counts as badly placed
@@ -165,7 +164,7 @@ def exposure(looks: dict[str, Look]) -> Iterator[Problem]:
     luminances = np.array([look.luminance for look in looks.values()])
     levels = np.log2(np.maximum(luminances, 1e-3))
     for sign, how in ((-1, "darker"), (+1, "brighter")):
-        if names := outliers(list(looks), levels, LEAST_EXPOSURE, sign):
+        if names := sorted(outliers(list(looks), levels, LEAST_EXPOSURE, sign)):
             yield Problem(
                 "warning",
                 f"{are(names)} much {how} than the rest: {listed(names)}.",
@@ -181,8 +180,7 @@ def exposure(looks: dict[str, Look]) -> Iterator[Problem]:
 
 
 def blur(looks: dict[str, Look]) -> Iterator[Problem]:
-    values = np.log([max(look.sharpness, 1e-3) for look in looks.values()])
-    if names := outliers(list(looks), values, LEAST_SHARPNESS, -1):
+    if names := sorted(blurred(looks)):
         yield Problem(
             "warning",
             f"{are(names)} blurred, compared with the rest: {listed(names)}.",
@@ -194,14 +192,6 @@ def blur(looks: dict[str, Look]) -> Iterator[Problem]:
 def are(names: list[str]) -> str:
     """Returns the subject and verb of a sentence, "1 photo is" or "2 photos are"."""
     return f"{counted(len(names))} {'is' if len(names) == 1 else 'are'}"
-
-
-def outliers(names: list[str], values: Float[np.ndarray, " n"], floor: float, sign: int) -> list[str]:
-    """Returns the names whose values are outliers on one side (sign +1 or -1)."""
-    if len(names) < FEWEST_TO_COMPARE:
-        return []
-    scores = sign * robust_scores(values, floor)
-    return [name for name, score in zip(names, scores, strict=True) if score > OUTLIER]
 
 
 def masks(found: Examination) -> Iterator[Problem]:

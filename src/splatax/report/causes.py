@@ -8,8 +8,9 @@ import numpy as np
 
 from splatax.dataset import Dataset, by_photo
 from splatax.evaluation import ViewScore
-from splatax.inspection.looks import robust_scores
-from splatax.inspection.problems import LEAST_SHARPNESS, OUTLIER, TWICE
+from splatax.inspection.blur import LEAST_SHARPNESS
+from splatax.inspection.outliers import outliers
+from splatax.inspection.problems import TWICE
 from splatax.report.gallery import Judged, Symptoms
 from splatax.report.next_photos import ISOLATED, spacings
 
@@ -136,7 +137,4 @@ def _cause(score: ViewScore, known: _Known) -> Cause:
 
 def _blurred(sharpness: Mapping[str, float]) -> set[str]:
     """Returns the names of photos that are blurred, compared with the others, if there are enough others."""
-    if len(sharpness) < 5:
-        return set()
-    scores = robust_scores(np.array(list(sharpness.values())), LEAST_SHARPNESS)
-    return {name for name, score in zip(sharpness, scores, strict=True) if score < -OUTLIER}
+    return set(outliers(list(sharpness), np.array(list(sharpness.values())), LEAST_SHARPNESS, -1))

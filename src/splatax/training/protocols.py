@@ -24,6 +24,10 @@ from splatax.training.objectives import PhotoWeights as PhotoWeights
 from splatax.training.objectives import Prior as Prior
 from splatax.training.objectives import TrainingView as TrainingView
 
+HostOrDevice = (
+    np.ndarray | Array
+)  # rows that a strategy plans with on the host, and makes others of on devices
+
 
 class Source(NamedTuple):
     """The training photo that a batch shows."""

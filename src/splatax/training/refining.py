@@ -20,7 +20,7 @@ from splatax.gaussians import Gaussians
 from splatax.training.capacity import bucket_for, only
 from splatax.training.devices import BLOCK, EVERYWHERE, ROWS, Sharding
 from splatax.training.optimizer import restarted
-from splatax.training.protocols import DensityPlan, DensityStrategy, UpdateRule
+from splatax.training.protocols import DensityPlan, DensityStrategy, HostOrDevice, UpdateRule
 from splatax.training.recipes import Recipe
 from splatax.training.routes import Routes, fetch, routes
 
@@ -36,8 +36,8 @@ class Kept(NamedTuple):
 class NewRows(NamedTuple):
     """A plan by row of the refined scene, with its empty slots; see `DensityPlan`."""
 
-    living: Bool[Array, " m"] | Bool[np.ndarray, " m"]
-    newborn: Bool[Array, " m"] | Bool[np.ndarray, " m"]
+    living: Bool[HostOrDevice, " m"]
+    newborn: Bool[HostOrDevice, " m"]
     given: Any
 
 

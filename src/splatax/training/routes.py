@@ -13,6 +13,7 @@ from jax import lax
 from jaxtyping import Array, Int
 
 from splatax.training.devices import AXIS, BLOCK
+from splatax.training.protocols import HostOrDevice
 
 
 class Routes(NamedTuple):
@@ -24,8 +25,8 @@ class Routes(NamedTuple):
             it gets from the others.
     """
 
-    sent: Int[np.ndarray, "senders blocks receivers most"] | Int[Array, "senders blocks receivers most"]
-    taken: Int[np.ndarray, "receivers blocks rows"] | Int[Array, "receivers blocks rows"]
+    sent: Int[HostOrDevice, "senders blocks receivers most"]
+    taken: Int[HostOrDevice, "receivers blocks rows"]
 
 
 def routes(parents: Int[np.ndarray, " n"], devices: int, before: int, after: int) -> Routes:

@@ -21,7 +21,7 @@ from splatax.math import ellipsoids
 from splatax.splats import Splats
 from splatax.training.density.growth import require_limit
 from splatax.training.density.pulls import pulls
-from splatax.training.protocols import DensityPlan
+from splatax.training.protocols import DensityPlan, HostOrDevice
 
 
 class Observed(NamedTuple):
@@ -35,23 +35,19 @@ class Observed(NamedTuple):
 class Columns(NamedTuple):
     """The columns on which the choice of children depends."""
 
-    opacity_logits: Float[np.ndarray, " n"] | Float[Array, " n"]
-    log_scales: Float[np.ndarray, "n 3"] | Float[Array, "n 3"]
-    pull: Float[np.ndarray, " n"] | Float[Array, " n"]
-    views: Float[np.ndarray, " n"] | Float[Array, " n"]
-    screen: Float[np.ndarray, " n"] | Float[Array, " n"]
+    opacity_logits: Float[HostOrDevice, " n"]
+    log_scales: Float[HostOrDevice, "n 3"]
+    pull: Float[HostOrDevice, " n"]
+    views: Float[HostOrDevice, " n"]
+    screen: Float[HostOrDevice, " n"]
 
 
 class Children(NamedTuple):
     """The properties that each Gaussian of a refined scene gets from the plan."""
 
-    opacity_logits: Float[np.ndarray, " n"] | Float[Array, " n"]
-    split: (
-        Bool[np.ndarray, " n"] | Bool[Array, " n"]
-    )  # whether it is one of the two into which its parent was split
-    normal: (
-        Float[np.ndarray, "n 3"] | Float[Array, "n 3"]
-    )  # its place, in standard deviations along the axes of the parent
+    opacity_logits: Float[HostOrDevice, " n"]
+    split: Bool[HostOrDevice, " n"]  # whether it is one of the two into which its parent was split
+    normal: Float[HostOrDevice, "n 3"]  # its place, in standard deviations along the axes of the parent
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from scipy.special import expit, logit
 from splatax.gaussians import Gaussians
 from splatax.splats import Splats
 from splatax.training.density.growth import ByFactor, Growth, require_limit
-from splatax.training.protocols import DensityPlan
+from splatax.training.protocols import DensityPlan, HostOrDevice
 
 MAX_COPIES = 51  # by which one Gaussian is replaced in a refinement (the authors' limit)
 
@@ -26,8 +26,8 @@ MAX_COPIES = 51  # by which one Gaussian is replaced in a refinement (the author
 class Copies(NamedTuple):
     """The properties that each Gaussian gets in a refinement; without copies, the same as before."""
 
-    opacity_logits: Float[np.ndarray, " n"] | Float[Array, " n"]
-    log_factors: Float[np.ndarray, " n"] | Float[Array, " n"]  # of the scales
+    opacity_logits: Float[HostOrDevice, " n"]
+    log_factors: Float[HostOrDevice, " n"]  # of the scales
 
 
 @dataclass(frozen=True)

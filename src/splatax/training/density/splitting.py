@@ -19,7 +19,7 @@ from splatax.math import ellipsoids
 from splatax.splats import Splats
 from splatax.training.density.growth import ByFactor, Growth, require_limit
 from splatax.training.density.pulls import pulls
-from splatax.training.protocols import DensityPlan
+from splatax.training.protocols import DensityPlan, HostOrDevice
 
 
 class Observed(NamedTuple):
@@ -33,9 +33,9 @@ class Observed(NamedTuple):
 class Columns(NamedTuple):
     """The columns on which the choice of parents depends."""
 
-    opacity_logits: Float[np.ndarray, " n"] | Float[Array, " n"]
-    pull: Float[np.ndarray, " n"] | Float[Array, " n"]
-    views: Float[np.ndarray, " n"] | Float[Array, " n"]
+    opacity_logits: Float[HostOrDevice, " n"]
+    pull: Float[HostOrDevice, " n"]
+    views: Float[HostOrDevice, " n"]
 
 
 @dataclass(frozen=True)

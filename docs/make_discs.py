@@ -44,9 +44,18 @@ def main(steps: int, captures: list[str]) -> None:
 
 def recipes(steps: int, most: int) -> dict[str, Recipe]:
     """Returns the recipes to compare, by their names in the table."""
-    default = sx.recipes.default(steps, most)
-    surfaces = replace(default, objective=replace(default.objective, geometry=Surfaces()))
-    return {"2dgs": sx.recipes.discs(steps, most), "default": default, "--geometry": surfaces}
+    default, discs = sx.recipes.default(steps, most), sx.recipes.discs(steps, most)
+    return {
+        "2dgs": discs,
+        "2dgs --geometry": with_surfaces(discs),
+        "default": default,
+        "--geometry": with_surfaces(default),
+    }
+
+
+def with_surfaces(recipe: Recipe) -> Recipe:
+    """Returns a recipe with the penalties of `--geometry` in place of its own."""
+    return replace(recipe, objective=replace(recipe.objective, geometry=Surfaces()))
 
 
 def in_words(error) -> str:

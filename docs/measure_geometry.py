@@ -1,18 +1,19 @@
-"""Compares weights of `--geometry` by photos and points that were held out from training.
+"""Compares penalties on geometry and on the scene by photos and points that were held out from training.
 
-python docs/measure_geometry.py CAPTURES [WEIGHTS [STEPS [DOWNSCALE [SEED]]]]
+python docs/measure_geometry.py CAPTURES [VARIANTS [STEPS [DOWNSCALE [SEED]]]]
     CAPTURES    folders with commas; "demo" is the synthetic still life at its own size
-    WEIGHTS     names of `WEIGHTS` with semicolons; "all", the default, stands for all of them
+    VARIANTS    names of `VARIANTS` with semicolons; "all", the default, stands for all of them
     STEPS       of each run, 500 by default
     DOWNSCALE   of the photos in folders, 4 by default
     SEED        of the runs, 0 by default
 
 Every sixth training photo, from the third, and a fifth of the points are held out: runs start from the
 other points, and have only these as landmarks. The capture's own held-out photos are not used. PSNR is the
-mean over the photos, with the median over them of the difference from the first weights. Errors of depth
-are relative to the depth: medians over the held-out points of a held-out photo, then means over photos.
-Where the truth is known, the errors over all pixels of these photos follow, in world units. The script
-prints a line for each run, for the tables of docs/geometry.md.
+mean over the photos; in brackets follow the median over them of the difference from the first variant, and
+the photo that loses most. Errors and biases of depth are relative to the depth: medians over the held-out
+points of a held-out photo, then means over photos. Where the truth is known, the errors and biases over all
+pixels of these photos follow, in world units. The script prints a line for each run, for the tables of
+docs/geometry.md.
 """
 
 import sys
@@ -23,33 +24,101 @@ from dataclasses import replace
 from functools import partial
 from math import inf
 from pathlib import Path
+from typing import Any
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
 import splatax as sx
+from splatax import backends
+from splatax.cameras.geometry import seen_at
 from splatax.dataset import Dataset, PointCloud, View
-from splatax.geometry_scores import OF_PLANES, against_landmarks, evaluate_geometry
+from splatax.geometry_scores import HALF, OF_PLANES, against_landmarks, depth_error, evaluate_geometry
+from splatax.training.disc_geometry import DiscGeometry
 from splatax.training.geometry import NoGeometry, Surfaces
-from splatax.training.recipes import default, room_for
+from splatax.training.priors import Flatness, Priors, Sparsity
+from splatax.training.recipes import Recipe, default, discs, room_for
 
-DEFAULTS = "all", 500, 4, 0  # weights, steps, downscale and seed
+DEFAULTS = "all", 500, 4, 0  # variants, steps, downscale and seed
 PHOTOS, POINTS = 6, 5  # one of so many is held out
-WEIGHTS = {
-    "default": NoGeometry(),
-    "--geometry": Surfaces(),
-    "0.1, 0.2 without limits": Surfaces(points=0.2, spread_limit=inf, points_limit=inf),
-    "0.02, 0.02 without limits": Surfaces(0.02, points=0.02, spread_limit=inf, points_limit=inf),
-    "0.1, 0.2": Surfaces(points=0.2, points_limit=0.02),
-    "0.05, 0.4": Surfaces(0.05, points=0.4, points_limit=0.02),
-    "0.1, 0.4": Surfaces(points=0.4, points_limit=0.02),
-    "0.1, 0.8": Surfaces(points=0.8, points_limit=0.02),
-    "half": Surfaces(0.05, points=0.3),
-    "quarter": Surfaces(0.025, points=0.15),
-    "--geometry-after 0.2": Surfaces(after=0.2),
-    "--geometry-after 0.4": Surfaces(after=0.4),
-    "spread only": Surfaces(points=0.0),
-    "points only": Surfaces(spread=0.0),
+COLORS = 3  # channels of a photo; penalties on geometry blend more
+
+Variant = Callable[[int, int], Recipe]  # from the number of steps and the largest number of Gaussians
+
+
+def of(build: Variant = default, **parts: Any) -> Variant:
+    """Returns the variant of a recipe with other parts of its objective."""
+
+    def variant(steps: int, most: int) -> Recipe:
+        recipe = build(steps, most)
+        return replace(recipe, objective=replace(recipe.objective, **parts))
+
+    return variant
+
+
+def surfaces(*weights: float, **settings: float) -> Variant:
+    """Returns `default` with the penalties of `--geometry`, with other settings."""
+    return of(geometry=Surfaces(*weights, **settings))
+
+
+def pulling(factor: float, variant: Variant) -> Variant:
+    """Returns a variant whose penalties on geometry move opacities, places and sizes less.
+
+    The gradient that passes through the splats of a view, and not through the planes, is multiplied by a
+    factor.
+    """
+
+    def scaled(value: jax.Array) -> jax.Array:
+        return factor * value + (1 - factor) * jax.lax.stop_gradient(value)
+
+    def weaker(steps: int, most: int) -> Recipe:
+        kernels = backends.resolve("auto")
+
+        def composite(splats: sx.Splats, channels: jax.Array) -> tuple[jax.Array, jax.Array]:
+            held = jax.tree.map(scaled, splats) if channels.shape[1] > COLORS else splats
+            return kernels.composite(held, channels)
+
+        return variant(steps, most).on(replace(kernels, name=f"pulling {factor}", composite=composite))
+
+    return weaker
+
+
+VARIANTS: dict[str, Variant] = {
+    "default": default,
+    "--geometry": surfaces(),
+    "0.1, 0.2 without limits": surfaces(points=0.2, spread_limit=inf, points_limit=inf),
+    "0.02, 0.02 without limits": surfaces(0.02, points=0.02, spread_limit=inf, points_limit=inf),
+    "0.1, 0.2": surfaces(points=0.2, points_limit=0.02),
+    "0.05, 0.4": surfaces(0.05, points=0.4, points_limit=0.02),
+    "0.1, 0.4": surfaces(points=0.4, points_limit=0.02),
+    "0.1, 0.8": surfaces(points=0.8, points_limit=0.02),
+    "half": surfaces(0.05, points=0.3),
+    "quarter": surfaces(0.025, points=0.15),
+    "--geometry-after 0.2": surfaces(after=0.2),
+    "--geometry-after 0.4": surfaces(after=0.4),
+    "0.05, 2.4 after 0.4": surfaces(0.05, points=2.4, after=0.4),
+    "spread only": surfaces(points=0.0),
+    "points only": surfaces(spread=0.0),
+    "splats x 0.3": pulling(0.3, surfaces()),
+    "planes only": pulling(0.0, surfaces()),
+    "planes only, without limits": pulling(0.0, surfaces(points=0.2, spread_limit=inf, points_limit=inf)),
+    "opacity penalty 0": of(prior=Sparsity(opacity=0.0)),
+    "opacity penalty / 3": of(prior=Sparsity(opacity=0.01 / 3)),
+    "opacity penalty x 3": of(prior=Sparsity(opacity=0.03)),
+    "opacity penalty negative": of(prior=Sparsity(opacity=-0.01)),
+    "scale penalty 0": of(prior=Sparsity(scale=0.0)),
+    "scale penalty x 3": of(prior=Sparsity(scale=0.03)),
+    "flatness 0.1": of(prior=Priors((Sparsity(), Flatness(0.1)))),
+    "flatness": of(prior=Priors((Sparsity(), Flatness()))),
+    "flatness, opacity penalty 0": of(prior=Priors((Sparsity(opacity=0.0), Flatness()))),
+    "--geometry, opacity penalty 0": of(surfaces(), prior=Sparsity(opacity=0.0)),
+    "--geometry, flatness": of(surfaces(), prior=Priors((Sparsity(), Flatness()))),
+    "2dgs": discs,
+    "2dgs --geometry": of(discs, geometry=Surfaces()),
+    "2dgs without penalties": of(discs, geometry=NoGeometry()),
+    "2dgs, distortion 0.03": of(discs, geometry=DiscGeometry(distortion=0.03)),
+    "2dgs, distortion 0.3": of(discs, geometry=DiscGeometry(distortion=0.3)),
 }
 
 
@@ -58,18 +127,21 @@ def main(captures: Sequence[str], names: Sequence[str], steps: int, downscale: i
         dataset = parted(
             sx.demo_dataset() if capture == "demo" else sx.load_dataset(capture, downscale=downscale)
         )
-        plain = replace(default(steps, room_for(dataset)), seed=seed)
         first = None
         for name in names:
-            recipe = replace(plain, objective=replace(plain.objective, geometry=WEIGHTS[name]))
+            recipe = replace(VARIANTS[name](steps, room_for(dataset)), seed=seed)
             began = time.process_time()
             scene = sx.fit(dataset, recipe)
             seconds = time.process_time() - began
-            photos = np.array([view.psnr for view in sx.evaluate(scene, dataset.test).views])
+            scored = sx.evaluate(scene, dataset.test, renderer=recipe.renderer)
+            photos = np.array([view.psnr for view in scored.views])
             first = photos if first is None else first
+            worst = int(np.argmin(photos - first))
             print(
                 f"{Path(capture).name} | {name} | {photos.mean():.2f} dB "
-                f"({np.median(photos - first):+.2f}) | {scores(scene, dataset)} | {len(scene):,} Gaussians, "
+                f"({np.median(photos - first):+.2f}; {scored.views[worst].name} {photos[worst]:.1f}, "
+                f"{photos[worst] - first[worst]:+.1f}) | {scores(scene, dataset, recipe)} | "
+                f"median opacity {np.median(scene.opacities):.2f} | {len(scene):,} Gaussians, "
                 f"{seconds:.0f} s of CPU",
                 flush=True,
             )
@@ -105,12 +177,16 @@ def chosen(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
     return np.array([zlib.crc32(row.tobytes()) % POINTS == 0 for row in rows], bool)
 
 
-def scores(scene: sx.Gaussians, dataset: Dataset) -> str:
+def scores(scene: sx.Gaussians, dataset: Dataset, recipe: Recipe) -> str:
     """Returns the scores of a scene's geometry in words."""
-    seen = against_landmarks(scene, dataset.test)
+    seen = against_landmarks(scene, dataset.test, recipe.renderer)
     assert seen, "no point is held out"
-    columns = [f"{100 * seen.mean.depths[output].relative:.2f} %" for output in OF_PLANES]
-    exact = evaluate_geometry(scene, dataset.test)
+    biases = np.nanmean([biases_of(scene, view, recipe) for view in dataset.test], axis=0)
+    columns = [
+        f"{100 * seen.mean.depths[output].relative:.2f} %, {100 * bias:+.2f} %"
+        for output, bias in zip(OF_PLANES, biases, strict=True)
+    ]
+    exact = evaluate_geometry(scene, dataset.test, renderer=recipe.renderer)
     if exact and exact.reference == "truth":
         depths = exact.mean.depths
         columns += [f"{depths[output].median:.4f}, {depths[output].bias:+.4f}" for output in OF_PLANES]
@@ -118,9 +194,22 @@ def scores(scene: sx.Gaussians, dataset: Dataset) -> str:
     return " | ".join(columns)
 
 
+def biases_of(scene: sx.Gaussians, view: View, recipe: Recipe) -> list[float]:
+    """Returns the median relative error of each depth at the landmarks of a view, positive behind them."""
+    assert view.landmarks
+    camera = view.camera
+    pixels, depths = seen_at(camera, view.landmarks().astype(np.float64))
+    inside = np.all((pixels >= 0) & (pixels < (camera.width, camera.height)), axis=1)
+    x, y = pixels[inside].astype(int).T
+    images = recipe.renderer(scene, camera, ("alpha", *OF_PLANES)).images
+    opaque = np.asarray(images["alpha"])[y, x] >= HALF
+    found = [np.asarray(images[output])[y, x] / depths[inside] for output in OF_PLANES]
+    return [depth_error(ratio[opaque], np.ones(int(opaque.sum()))).bias for ratio in found]
+
+
 if __name__ == "__main__":
     asked, total, smaller, chance = (*sys.argv[2:], *DEFAULTS[len(sys.argv[2:]) :])
-    named = list(WEIGHTS) if asked == "all" else str(asked).split(";")
-    if unknown := {*named} - {*WEIGHTS}:
-        sys.exit(f"no such weights: {', '.join(sorted(unknown))}. There are: {'; '.join(WEIGHTS)}.")
+    named = list(VARIANTS) if asked == "all" else str(asked).split(";")
+    if unknown := {*named} - {*VARIANTS}:
+        sys.exit(f"no such variants: {', '.join(sorted(unknown))}. There are: {'; '.join(VARIANTS)}.")
     main(sys.argv[1].split(","), named, int(total), int(smaller), int(chance))

@@ -20,13 +20,20 @@ from scenes import (
     random_splats,
     splats,
 )
-from splatax import backends, outputs
+from splatax import AlongRays, Dilation, backends, outputs
+from splatax.cameras import RollingShutter
 from splatax.cameras.geometry import rays
+from splatax.cameras.lenses import Fisheye
 from splatax.rendering import rasterize, render, select
 
 GAUSSIANS = random_gaussians(n=80, degree=1, scale=(0.1, 0.5))
 CAMERA = camera_at((0.3, 0.2, -3.0), size=(32, 24))
 ALL = tuple(outputs.OUTPUTS)
+OF_SURFACES = ("surface_depth", "median_surface_depth", "normals")
+VIEWS = {  # other cameras than a pinhole that stands still
+    "fisheye": {"lens": Fisheye(jnp.array([0.02, -0.01, 0.003, -0.0004]))},
+    "rolling shutter": {"motion": RollingShutter(jnp.array([0.02, -0.03, 0.05, 0.06, 0.02, -0.04]))},
+}
 
 
 def opaque_pair(first, second, depths=(1.0, 2.0)):
@@ -202,6 +209,43 @@ def test_outputs_have_the_derivatives_of_finite_differences(x64, backend):
         )
         # Steps this small rarely move a splat across its threshold of 1/255, where the image jumps.
         assert_allclose(along, directional(objective, point, direction, 1e-7), rtol=2e-4, atol=1e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("low_pass", [Dilation(), AlongRays()], ids=["ellipses", "along rays"])
+@pytest.mark.parametrize("kind", VIEWS)
+def test_surfaces_through_other_cameras_have_the_derivatives_of_finite_differences(x64, kind, low_pass):
+    """In the Gaussians and in all of the camera: its pose, intrinsics, lens and motion.
+
+    Each of these arrays moves alone, so that a large derivative hides no small one.
+    """
+    gaussians = random_gaussians(n=12, degree=0, scale=(0.3, 0.6), dtype=np.float64)
+    pinhole = camera_at((0.3, 0.2, -3.0), size=(8, 6), focal=8.0, dtype=np.float64)
+    camera = jax.tree.map(lambda leaf: leaf.astype(float), replace(pinhole, **VIEWS[kind]))
+    weights = np.random.default_rng(1).uniform(0.5, 1.5, size=(3, 6, 8, 3))
+
+    @jax.jit
+    def objective(point):
+        drawn = render(*point, outputs=OF_SURFACES, low_pass=low_pass, backend="reference")
+        pictures = [getattr(drawn, name).reshape(6, 8, -1) for name in OF_SURFACES]
+        return sum(jnp.sum(p * w[..., : p.shape[2]]) for p, w in zip(pictures, weights, strict=True))
+
+    named, tree = jax.tree_util.tree_flatten_with_path((gaussians, camera))
+    leaves = [leaf for _, leaf in named]
+    gradient = jax.tree.leaves(jax.jit(jax.grad(objective))((gaussians, camera)))
+    rng, resting = np.random.default_rng(2), set()
+    for i, (path, leaf) in enumerate(named):
+        direction, name = jnp.asarray(rng.normal(size=leaf.shape)), jax.tree_util.keystr(path)
+        along = jnp.sum(gradient[i] * direction)
+        # Steps this small rarely move a splat across its threshold of 1/255, where the image jumps.
+        ends = [
+            objective(tree.unflatten([*leaves[:i], leaf + step * direction, *leaves[i + 1 :]]))
+            for step in (1e-7, -1e-7)
+        ]
+        assert_allclose(along, (ends[0] - ends[1]) / 2e-7, rtol=2e-4, atol=1e-5, err_msg=name)
+        if abs(along) < 1e-3:
+            resting.add(name)
+    assert resting == {"[0].sh"}  # surfaces do not depend on colours
 
 
 def test_gradients_of_outputs_equal_the_reference(fast):

@@ -1,10 +1,10 @@
 """Scores scenes of drawn captures between their photos.
 
-python docs/measure_novel.py SCENE STEPS SEEDS LIMITS
+python docs/measure_novel.py SCENE STEPS SEEDS TRIALS
     SCENE    name of a drawn scene, such as room
     STEPS    of each run
     SEEDS    whole numbers with commas
-    LIMITS   values of `Splitting.largest` with commas; inf for none
+    TRIALS   names with commas, as `measure_trials.py` takes them
 
 Each camera of the scores is that of a training photo, moved by 15 % of the scene's extent and turned by 0.2
 radians (standard deviations along each axis). Few views of a scene are bad, so the worst of them tell more
@@ -17,6 +17,7 @@ from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
+from measure_trials import trial_named
 from scipy.spatial.transform import Rotation
 
 import splatax as sx
@@ -44,24 +45,25 @@ def psnr_of(drawn: np.ndarray, truth: np.ndarray) -> float:
     return float(10 * np.log10(255**2 / np.mean((drawn.astype(np.float64) - truth) ** 2)))
 
 
-def main(name: str, steps: int, seeds: Sequence[int], limits: Sequence[float]) -> None:
+def main(name: str, steps: int, seeds: Sequence[int], trials: Sequence[str]) -> None:
     """Prints a line for each run."""
     dataset, rng = sx.demo_dataset(scene=name, width=SIZE[0], height=SIZE[1]), np.random.default_rng(5)
     cameras = [moved(view.camera, dataset.extent, rng) for view in dataset.train]
     truths = [np.asarray(photograph(camera, SCENES[name]))[..., :3] for camera in cameras]
     for seed in seeds:
-        for limit in limits:
-            recipe = replace(default(steps, room_for(dataset)), seed=seed)
-            scene = sx.fit(dataset, replace(recipe, density=replace(recipe.density, largest=limit)))
-            found = np.sort([psnr_of(picture(scene, c), t) for c, t in zip(cameras, truths, strict=True)])
+        for trial in trials:
+            trained = trial_named(trial)(dataset, replace(default(steps, room_for(dataset)), seed=seed))
+            scene = trained.scene
+            drawn = (picture(scene, camera) for camera in cameras)
+            found = np.sort([psnr_of(*pair) for pair in zip(drawn, truths, strict=True)])
             print(
-                f"{name} seed {seed} limit {limit:4g}: mean {found.mean():.2f} dB, tenth "
+                f"{name} seed {seed} {trial:20}: mean {found.mean():.2f} dB, tenth "
                 f"{found[len(found) // 10]:.2f}, worst {found[0]:.2f}; largest scale "
-                f"{float(np.exp(np.asarray(scene.log_scales)).max()):.1f}",
+                f"{float(np.exp(np.asarray(scene.log_scales)).max()):.1f}, {trained.seconds:.1f} s of CPU",
                 flush=True,
             )
 
 
 if __name__ == "__main__":
-    chosen, count, numbers, values = sys.argv[1:]
-    main(chosen, int(count), [int(n) for n in numbers.split(",")], [float(v) for v in values.split(",")])
+    chosen, count, numbers, names = sys.argv[1:]
+    main(chosen, int(count), [int(n) for n in numbers.split(",")], names.split(","))

@@ -11,14 +11,14 @@ counts as a usual one; what a trial does before and after its steps is not count
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from unittest.mock import patch
 
 import jax.numpy as jnp
 import numpy as np
 from measure_long import VARIANTS, loaded, rates, settling, varied
 from scipy.spatial.transform import Rotation, Slerp
-from trial_parts import BilateralGrid, Huber, JaxAdam, LearnedSky, OpacityNoise, Rays, SecondOrder
+from trial_parts import BilateralGrid, FarPulls, Huber, JaxAdam, LearnedSky, OpacityNoise, Rays, SecondOrder
 
 import splatax as sx
 from splatax.cameras import Camera
@@ -89,6 +89,16 @@ def with_noise(recipe: Recipe, deviation: float) -> Recipe:
     """Returns a recipe with noise in the opacities of each view."""
     noisy = OpacityNoise(recipe.density, deviation)
     return replace(recipe, density=noisy, optimizer=replace(recipe.optimizer, rule=JaxAdam()))
+
+
+def far_pulls(depth: float) -> Trial:
+    """Returns the trial of pulls that count in full from this depth on, in extents of the scene."""
+
+    def trial(dataset: Dataset, recipe: Recipe) -> Trained:
+        known = {each.name: getattr(recipe.density, each.name) for each in fields(recipe.density)}
+        return plain(dataset, replace(recipe, density=FarPulls(**known, full=depth * dataset.extent)))
+
+    return trial
 
 
 def with_loss(recipe: Recipe, loss: Loss) -> Recipe:
@@ -224,6 +234,9 @@ TRIALS: dict[str, Trial] = {
     "opacity noise 0.5": of(lambda r: with_noise(r, 0.5)),
     "squares below 0.02": of(lambda r: with_loss(r, Huber(0.02))),
     "squares below 0.06": of(lambda r: with_loss(r, Huber(0.06))),
+    "pulls from 0.2": far_pulls(0.2),
+    "pulls from 0.37": far_pulls(0.37),
+    "pulls from 0.7": far_pulls(0.7),
     "second order": by_second_order(),
     "second order wide": by_second_order(radius=0.2, radius_final=0.01),
     "second order narrow": by_second_order(radius=0.05, radius_final=0.0025),

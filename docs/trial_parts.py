@@ -19,6 +19,7 @@ from splatax.pipeline import composite
 from splatax.sky import Sky
 from splatax.splats import Splats
 from splatax.training import per_photo
+from splatax.training.density.splitting import Observed, Splitting
 from splatax.training.feed import Batch
 from splatax.training.optimizer import Adam, free_coefficients
 from splatax.training.per_photo import PerPhoto, PerView
@@ -78,6 +79,25 @@ class OpacityNoise:
     def reborn(self, gaussians: Gaussians, state: Any, given: Any) -> Gaussians:
         """Returns what the strategy does."""
         return self.strategy.reborn(gaussians, state, given)
+
+
+@dataclass(frozen=True)
+class FarPulls(Splitting):
+    """Splitting by pulls that count less near the camera, after Pixel-GS (Zhang et al. 2024).
+
+    The pull of a view is multiplied by min((depth / full)^2, 1).
+
+    Attributes:
+        full: depth from which pulls count in full, world units.
+    """
+
+    full: float = 0.0
+
+    def observe(self, state: Observed, splats: Splats, d_splats: Splats) -> Observed:
+        """Adds one view to the statistics."""
+        seen = super().observe(state, splats, d_splats)
+        factor = jnp.clip(splats.depths / self.full, 0, 1) ** 2
+        return seen._replace(pull=state.pull + factor * (seen.pull - state.pull))
 
 
 @dataclass(frozen=True)

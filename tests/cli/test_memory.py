@@ -1,16 +1,20 @@
 """Runs with a limit of memory."""
 
 import json
+import math
 import re
 
 import pytest
 
 import splatax as sx
 from splatax import cli
+from splatax.cli import planning
+from splatax.cli.settings import Settings
 from splatax.errors import InputError
-from splatax.runs.budget import parse_bytes
+from splatax.runs.budget import Cost, Costs, parse_bytes
 from splatax.runs.forecast import memory
-from splatax.runs.planning import room_within
+from splatax.runs.planning import Room, room_within
+from splatax.training.recipes import room_for
 from training.test_training import SIZE
 from training.test_training import capture as made
 
@@ -49,6 +53,15 @@ def test_more_photos_in_a_step_leave_room_for_fewer_gaussians(capture, tmp_path,
     with pytest.raises(InputError, match="smaller, or use fewer photos in a step") as refusal:
         room_within(100_000_000, made(), first=100, views=8)
     assert refusal.value.options == ("memory", "downscale", "views")
+
+
+@pytest.mark.parametrize(("gaussians", "expected"), [(math.inf, 2), (1, 1)])
+def test_a_long_run_grows_to_twice_the_usual_gaussians_if_they_fit(capture, monkeypatch, gaussians, expected):
+    dataset = made()
+    monkeypatch.setattr(planning, "measured", lambda *_: Costs(Cost(1e-3, 0.0), Cost(1e-3, 0.0)))
+    room = Room(gaussians * room_for(dataset))
+    settings, _, _ = planning.planned(Settings(capture, budget="10min"), dataset, room)
+    assert settings.max_gaussians == expected * room_for(dataset)
 
 
 def test_a_limit_that_the_start_exceeds_is_refused_with_the_numbers(capture, tmp_path, capsys):

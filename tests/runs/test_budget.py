@@ -7,17 +7,15 @@ import pytest
 from splatax.runs.budget import (
     FEWEST_STEPS,
     ROUND,
-    Changes,
-    Clock,
     Cost,
     Costs,
-    Expected,
     coarse_size,
     mean_count,
     measured,
     parse_seconds,
     plan,
 )
+from splatax.runs.clock import Changes, Clock, Expected
 from splatax.training.recipes import Recipe
 from splatax.training.resolution import Resolution
 
@@ -55,6 +53,14 @@ def test_more_time_is_more_steps_and_more_gaussians_up_to_what_there_is_room_for
     plans = [plan(SLOW, seconds, first=10_000, room=100_000) for seconds in (20, 60, 600)]
     assert plans[0].steps < plans[1].steps < plans[2].steps
     assert plans[0].max_gaussians < plans[1].max_gaussians <= plans[2].max_gaussians == 100_000
+
+
+def test_a_run_of_many_steps_goes_on_to_six_gaussians_a_step_up_to_the_limit_of_any_run():
+    short, long, longest = (plan(SLOW, seconds, 500, room=9_000, ample=18_000) for seconds in (15, 70, 600))
+    assert short.max_gaussians == 9_000 > 6 * short.steps
+    assert long.max_gaussians == 6 * long.steps // ROUND * ROUND > 9_000
+    assert longest.max_gaussians == 18_000 < 6 * longest.steps
+    assert plan(SLOW, 600, 500, room=9_000).max_gaussians == 9_000
 
 
 def test_a_number_of_gaussians_that_is_given_is_kept():

@@ -12,7 +12,8 @@ from splatax.cli.settings import Settings
 from splatax.dataset import photos_in
 from splatax.errors import InputError
 from splatax.io.datasets.photos import counted
-from splatax.runs.budget import Expected, duration, measured, plan
+from splatax.runs.budget import DENSEST, duration, measured, plan
+from splatax.runs.clock import Expected
 from splatax.runs.planning import Deadline, Room, gaussians_here, smaller_photos
 from splatax.training.recipes import MOST, PRESETS, detail_of, most_for, room_for, steps_for
 
@@ -99,7 +100,8 @@ def planned_by_time(
     assert settings.seconds
     first = recipe.initialization.number(dataset)
     asked = None if settings.max_gaussians == "auto" else settings.max_gaussians
-    chosen = plan(costs, settings.seconds, first, most, asked)
+    ample = min(DENSEST * most, room.gaussians, max(MOST, most))
+    chosen = plan(costs, settings.seconds, first, most, asked, int(ample))
     milliseconds = 1e3 * costs.fine.step(chosen.max_gaussians)
     say(
         f"plan: {chosen.steps:,} steps, {chosen.max_gaussians:,} Gaussians, {duration(settings.seconds)} "

@@ -17,7 +17,7 @@ from splatax.dataset import Dataset, photos_in
 from splatax.errors import InputError
 from splatax.io.datasets.photos import counted
 from splatax.io.memory import decoding
-from splatax.runs.budget import Expected
+from splatax.runs.clock import Expected
 from splatax.runs.history import History
 from splatax.runs.planning import Deadline, Room, gigabytes, room_within
 from splatax.runs.resume import Earlier

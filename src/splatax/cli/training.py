@@ -23,9 +23,10 @@ from splatax.cli.view import audience
 from splatax.dataset import Dataset
 from splatax.evaluation import require_scorable
 from splatax.report import held_out
-from splatax.runs.budget import Changes, Clock
+from splatax.runs.budget import DENSEST
 from splatax.runs.checkpoints import Checkpoints, NoCheckpoints
 from splatax.runs.claim import claimed_for_run, require_space
+from splatax.runs.clock import Changes, Clock
 from splatax.runs.finished import FinishedRun, read_runs
 from splatax.runs.history import History
 from splatax.runs.keeping import with_photos_kept
@@ -68,7 +69,7 @@ def lead(run: Run, live: Live) -> None:
         settings, dataset, history = decided.settings, decided.dataset, run.history
         recipe = settings.to_recipe(dataset)
         start = recipe.initialization.number(dataset)
-        require_space(run.out, max(start, min(settings.most(dataset), room_for(dataset))))
+        require_space(run.out, max(start, min(settings.most(dataset), DENSEST * room_for(dataset))))
         photos = kept_photos(dataset, decided.room)
         checkpoints = Checkpoints(
             run.out,

@@ -1,13 +1,12 @@
 """Plans the number of steps and of Gaussians for a given training time, from measured speed.
 
 Before the run, the cost of a step on this machine is measured on procedural scenes, which have the
-statistics of trained ones. During the run, the number of steps is corrected by the clock. The corrections
-are recorded as `Changes`, so that the run can be repeated without a clock.
+statistics of trained ones. During the run, `splatax.runs.clock` corrects the number of steps.
 """
 
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,16 +21,13 @@ from splatax.training.recipes import COARSE, GROWING, Recipe
 DEFAULT_BUDGET = "6min"  # of training, where neither a time nor a number of steps is given
 PROBES = (20_000, 80_000)  # Gaussians; steps are linear in them
 ROUNDS = 5
-GAUSSIANS_PER_STEP = 60  # of a run; see docs/results.md
+GAUSSIANS_PER_STEP = 60  # of a run, up to one for 8 pixels; see docs/results.md
+DENSER_PER_STEP = 6  # of a long run, beyond one for 8 pixels; see docs/recipes.md
+DENSEST = 2  # limit of a long run, as a multiple of one for 8 pixels
 HEAVIER = 1.45  # a step of a capture than one of a procedural scene: 1.6 measured on fern, 1.4 on fox
 COMPILING = 0.7  # seconds for each size of the arrays that a scene grows through
 FEWEST_STEPS = 200  # with fewer, scenes are unusable, so a run may exceed its budget
 PARTS = 400  # of a run, over which the cost of its steps is summed
-RECENT = 5  # measurements whose median is the speed, so that compilation does not count as a lasting slowdown
-STRIDE, STEADY = (
-    1.25,
-    0.7,
-)  # most that one look changes the number of steps by, up to this fraction of the run
 ROUND = 1_000  # Gaussians: plans that differ little share compiled programs
 SIZES = {"": 1.0, "b": 1.0, "kb": 1e3, "mb": 1e6, "gb": 1e9, "mib": 2.0**20, "gib": 2.0**30}
 UNITS = {"s": 1.0, "sec": 1.0, "min": 60.0, "m": 60.0, "h": 3600.0}
@@ -168,20 +164,32 @@ class Plan:
     max_gaussians: int
 
 
-def plan(costs: Costs, seconds: int | float, first: int, room: int, most: int | None = None) -> Plan:
+def plan(
+    costs: Costs,
+    seconds: int | float,
+    first: int,
+    room: int,
+    most: int | None = None,
+    ample: int | None = None,
+) -> Plan:
     """Plans the most steps that fit into a time, with as many Gaussians as they can train, or as are given.
+
+    A run of few steps grows to `GAUSSIANS_PER_STEP` Gaussians for each step, up to `room`. A run with many
+    steps for each of these goes beyond them: to `DENSER_PER_STEP` for each step, up to `ample`.
 
     Args:
         costs: of a step on this machine.
         seconds: for the whole run.
         first: Gaussians at the start.
-        room: upper limit of the number of Gaussians.
+        room: upper limit of the number of Gaussians of a run of few steps.
         most: the number of Gaussians to grow to; None to choose it.
+        ample: upper limit of the number of Gaussians of any run; None for `room`.
     """
 
     def gaussians(steps: int) -> int:
         taught = GAUSSIANS_PER_STEP * steps // ROUND * ROUND
-        return most or int(np.clip(taught, min(first, room), room))
+        denser = min(DENSER_PER_STEP * steps // ROUND * ROUND, ample or room)
+        return most or int(max(np.clip(taught, min(first, room), room), denser))
 
     low, high = FEWEST_STEPS, 10_000_000
     while low < high:  # the most steps that fit
@@ -191,110 +199,3 @@ def plan(costs: Costs, seconds: int | float, first: int, room: int, most: int | 
         else:
             high = middle - 1
     return Plan(low, gaussians(low))
-
-
-@dataclass
-class Changes:
-    """Changes of a run's number of steps, as `optimize` takes them for its pace.
-
-    Attributes:
-        made: (step after which, new total), in order; it grows.
-    """
-
-    made: list[tuple[int, int]] = field(default_factory=list)
-
-    def __call__(self, step: int) -> int | None:
-        """Returns the total that holds from this step on; None if it does not change there."""
-        return dict(self.made).get(step)
-
-    def due(self, step: int, total: int) -> bool:
-        """Returns whether to call `note` after a step."""
-        return False
-
-    def note(self, step: int, total: int, seconds: float) -> None:
-        """Changes the number of steps by the time, if that is needed."""
-
-
-@dataclass(frozen=True)
-class Expected:
-    """Cost of a run's steps as it was planned.
-
-    Attributes:
-        costs: of steps on this machine.
-        first: Gaussians at the start.
-        most: Gaussians that the run grows to.
-    """
-
-    costs: Costs
-    first: int
-    most: int
-
-    def seconds_left(self, step: int, total: int) -> float:
-        """Returns the seconds for the rest of a run of `total` steps, after `step` of them."""
-        return total * self.costs.rest(min(step / total, 1.0), self.first, self.most)
-
-
-@dataclass
-class Clock(Changes):
-    """Changes the number of steps so that a run ends in time.
-
-    The schedules of a run follow its number of steps: growth, half-size photos and the decay of the learning
-    rates take the same fractions of the steps that there is time for.
-
-    Attributes:
-        seconds: for the whole run.
-        checked: step and seconds of the last call of `note`.
-        expected: planned cost of the steps. None, as for a resumed run, assumes that all steps
-            take as long as the latest.
-        slowness: measured time of steps over the planned time, for each look at the clock.
-        left: returns the seconds left for training, where the whole command is limited; else None.
-    """
-
-    seconds: float = 0.0
-    checked: tuple[int, float] = (0, 0.0)
-    expected: Expected | None = None
-    slowness: list[float] = field(default_factory=list)
-    left: Callable[[], float] | None = None
-
-    def due(self, step: int, total: int) -> bool:
-        """Returns true every 5 percent of the run; if it was not planned, after its first fifth."""
-        first = total / 5 if self.expected is None else 1
-        return first <= step < total and step % max(round(total / 20), 1) == 0
-
-    def note(self, step: int, total: int, seconds: float) -> None:
-        """Plans the rest of the run by its speed until now.
-
-        Without a plan, a run that grows or whose photos get larger is only shortened, if it would be late
-        even as fast as now: its steps get slower.
-        """
-        (before, then), self.checked = self.checked, (step, seconds)
-        if self.expected is None:
-            a_step = (seconds - then) / (step - before)
-            planned = max(step + max(round((self.seconds - seconds) / a_step), 1), FEWEST_STEPS)
-            if planned < total or (planned > total and before > total / COARSE):
-                self.made.append((step, planned))
-            return
-        if before == 0:  # this part has compiled the first program
-            return
-        modelled = self.expected.seconds_left(before, total) - self.expected.seconds_left(step, total)
-        self.slowness.append((seconds - then) / max(modelled, 1e-9))
-        slowness = float(np.median(self.slowness[-RECENT:]))
-        left = self.left() if self.left else self.seconds - seconds
-        planned = self._affordable(step, left, slowness)
-        if step < STEADY * total:
-            planned = round(np.clip(planned, total / STRIDE, total * STRIDE))
-        planned = max(planned, FEWEST_STEPS, step + 1)
-        if planned != total:
-            self.made.append((step, planned))
-
-    def _affordable(self, step: int, left: float, slowness: float) -> int:
-        """Returns the most steps for which the rest of the run takes no longer than the time left."""
-        assert self.expected
-        low, high = step, 10_000_000
-        while low < high:
-            middle = (low + high + 1) // 2
-            if slowness * self.expected.seconds_left(step, middle) <= left:
-                low = middle
-            else:
-                high = middle - 1
-        return low

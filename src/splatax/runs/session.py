@@ -14,8 +14,8 @@ from splatax.dataset import Dataset
 from splatax.errors import DatasetError, InputError
 from splatax.evaluation import evaluate, picture
 from splatax.io.files import explained
-from splatax.runs.budget import Changes
 from splatax.runs.checkpoints import Checkpoints, NoCheckpoints
+from splatax.runs.clock import Changes
 from splatax.runs.history import Evaluation, History, shrunk
 from splatax.training.loop import Progress, RunState, optimize
 from splatax.training.recipes import Recipe

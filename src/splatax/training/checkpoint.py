@@ -26,6 +26,7 @@ from splatax.training.step import TrainState
 
 HEADER = "header"  # name of the member that holds it
 STATE = "state/"  # prefix of the names of the arrays of the state
+BY_ROW = "gaussians", "opt_state", "density_state"  # parts of the state with a row per Gaussian
 PER_PHOTO = (  # arrays with a row per photo
     "appearance/values",
     "cameras/values",
@@ -91,7 +92,7 @@ def on_host(leaf: Any) -> np.ndarray:
 
 
 def restore(checkpoint: Checkpoint, recipe: Recipe) -> RunState:
-    """Returns the run as it was, on the host; `optimize` sends it to its devices.
+    """Returns the run as it was; see `restored`.
 
     Raises:
         FormatError: if the checkpoint does not hold the state of a run of this recipe.
@@ -107,7 +108,10 @@ def stored_in(checkpoint: Checkpoint) -> dict[str, np.ndarray]:
 
 
 def restored(checkpoint: Checkpoint, shapes: State) -> tuple[State, int]:
-    """Returns the state in a checkpoint, on the host, and its number of living Gaussians.
+    """Returns the state in a checkpoint, and its number of living Gaussians.
+
+    Arrays with a row for each Gaussian stay on the host, because no device may have room for all of them. All
+    else is on the device.
 
     Args:
         checkpoint: of the run.
@@ -199,4 +203,5 @@ def _as(array: np.ndarray, expected: jax.ShapeDtypeStruct, name: str) -> jax.Arr
     if (array.shape, array.dtype) != (expected.shape, expected.dtype):
         found, wanted = f"{array.dtype}{array.shape}", f"{expected.dtype}{expected.shape}"
         raise FormatError(f"the state of another kind of run: {name} is {found}, not {wanted}")
-    return array
+    of_gaussians = name.removeprefix(STATE).partition("/")[0] in BY_ROW and array.ndim > 0
+    return array if of_gaussians else jnp.array(array)

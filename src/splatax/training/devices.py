@@ -109,7 +109,7 @@ class Sharding:
         return max(-(-rows // unit), 2) * unit
 
     def gathered(self, state: TrainState, rows: int) -> TrainState:
-        """Copies a state to the host: its first `rows` rows, in order. Every process gets all of it."""
+        """Copies a state to every process: its first rows, in order, to the host, all else to a device."""
         return jax.tree.map(partial(self._get, rows=rows), state, placement(state))
 
     def in_order(self, arrays: Any, rows: int) -> Any:
@@ -155,9 +155,11 @@ class Sharding:
     def _get(self, leaf: Array, place: PartitionSpec, rows: int) -> Any:
         if is_key(leaf):
             return jax.random.wrap_key_data(self._get(jax.random.key_data(leaf), place, rows))
-        host = self._in_pieces(leaf) if place == ROWS and self.by_processes else np.asarray(leaf)
-        # A copy: a view of a device array keeps the next step from using its memory again.
-        return np.array(in_order(host, self.mesh.size)[:rows] if place == ROWS else host)
+        # Copies: a view of a device array keeps the next step from using its memory again.
+        if place != ROWS:
+            return jnp.array(np.asarray(leaf))
+        host = self._in_pieces(leaf) if self.by_processes else np.asarray(leaf)
+        return np.array(in_order(host, self.mesh.size)[:rows])
 
     def _in_pieces(self, leaf: Array) -> np.ndarray:
         """Copies the rows of devices of several processes to the host, few at a time for want of memory."""

@@ -182,7 +182,6 @@ def mcmc(steps: int = 30_000, max_gaussians: int = 1_000_000, views: int = 1) ->
 
 GROWING = 3  # `default` grows for the first 1 / GROWING of a run
 COARSE = 2  # and sees photos of half size for the first 1 / COARSE
-OPACITY = 0.003  # weight of the opacity penalty of `default`; that of `mcmc` is the authors', 0.01
 GROWN = 0.85  # fraction of a run after which relocation ends and the learning rates fall
 
 
@@ -195,7 +194,7 @@ def default(steps: int = 30_000, max_gaussians: int = 1_000_000, views: int = 1)
     recipe = Recipe(
         steps=steps,
         initialization=FromPoints(opacity=0.5, scale=0.1),
-        objective=Objective(prior=Sparsity(opacity=OPACITY)),
+        objective=Objective(prior=Sparsity(opacity=0.003)),
         optimizer=Optimizer(
             rates=replace(rates_for(steps * views), settled=0.05, settling_from=GROWN), reach=ViewDepth()
         ),

@@ -33,13 +33,7 @@ def pad(gaussians: Gaussians, capacity: int) -> Gaussians:
     padded = jax.tree.map(
         lambda leaf: jnp.pad(leaf, [(0, capacity - count)] + [(0, 0)] * (leaf.ndim - 1)), gaussians
     )
-    return with_empty_slots(padded, jnp.int32(count))
-
-
-def with_empty_slots(gaussians: Gaussians, count: Int[Array, ""]) -> Gaussians:
-    """Turns the rows from `count` on into empty slots, which are exactly transparent."""
-    living = jnp.arange(len(gaussians)) < count
-    return replace(gaussians, opacity_logits=jnp.where(living, gaussians.opacity_logits, -jnp.inf))
+    return only(padded, jnp.arange(capacity) < count)
 
 
 def without_broken(gaussians: Gaussians) -> tuple[Gaussians, int]:
@@ -49,18 +43,14 @@ def without_broken(gaussians: Gaussians) -> tuple[Gaussians, int]:
         The scene, and the number of Gaussians that were replaced.
     """
     good, broken = _sound(gaussians)
-    return (_only(gaussians, good) if int(broken) else gaussians), int(broken)
+    return (only(gaussians, good) if int(broken) else gaussians), int(broken)
 
 
+@jax.jit
 def only(gaussians: Gaussians, kept: Bool[Array, " n"]) -> Gaussians:
-    """Turns all rows but some into empty slots, of which all numbers are 0 but the opacity logit."""
-    cleared = jax.tree.map(
-        lambda leaf: jnp.where(kept.reshape(-1, *[1] * (leaf.ndim - 1)), leaf, 0), gaussians
-    )
+    """Turns all rows but some into empty slots, which are exactly transparent: all else about them is 0."""
+    cleared = jax.tree.map(lambda leaf: jnp.where(across(kept, leaf.ndim), leaf, 0), gaussians)
     return replace(cleared, opacity_logits=jnp.where(kept, gaussians.opacity_logits, -jnp.inf))
-
-
-_only = jax.jit(only)
 
 
 @jax.jit
@@ -68,3 +58,8 @@ def _sound(gaussians: Gaussians) -> tuple[Bool[Array, " n"], Int[Array, ""]]:
     """Returns which rows are sound, and the number of the others."""
     good = jax.vmap(is_sound)(*jax.tree.leaves(gaussians))
     return good, jnp.sum(~good)
+
+
+def across(rows: Bool[Array, " n"], axes: int) -> Bool[Array, "n ..."]:
+    """Returns a mask of rows with so many axes that it applies to all numbers of a row."""
+    return rows.reshape(-1, *[1] * (axes - 1))

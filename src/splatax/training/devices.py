@@ -52,12 +52,17 @@ def devices_for(views: int, devices: Sequence[jax.Device] | None = None) -> Mesh
     return Mesh(np.array(found[:count]), (AXIS,), axis_types=(AxisType.Auto,))
 
 
+def is_by_row(leaf: Array, rows: int) -> bool:
+    """Returns whether an array has a first axis of so many rows."""
+    return leaf.ndim > 0 and leaf.shape[0] == rows
+
+
 def placement(state: TrainState) -> TrainState:
     """Returns where each array of a state lives: rows of the scene on their owners, all else everywhere."""
     rows = state.gaussians.means.shape[0]
 
     def by_row(leaf: Array) -> PartitionSpec:
-        return ROWS if leaf.ndim and leaf.shape[0] == rows else EVERYWHERE
+        return ROWS if is_by_row(leaf, rows) else EVERYWHERE
 
     everywhere = jax.tree.map(lambda _: EVERYWHERE, state)
     return replace(

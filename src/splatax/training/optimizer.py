@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float
 from splatax.gaussians import ARRAYS, Gaussians
 from splatax.math import harmonics, quaternions
 from splatax.pytrees import pytree
+from splatax.training.capacity import across
 from splatax.training.noise import NoNoise
 from splatax.training.protocols import Noise, Reach, UpdateRule
 
@@ -183,7 +184,7 @@ def restarted(
     """
 
     def starts_anew(leaf: Array | optax.MaskedNode, field: bool) -> Array | optax.MaskedNode:
-        return leaf if is_masked(leaf) else _broadcast(newborn | field, leaf.ndim)
+        return leaf if is_masked(leaf) else across(newborn | field, leaf.ndim)
 
     transformation = rule()
     map_params = partial(optax.tree_utils.tree_map_params, transformation, is_leaf=is_masked)
@@ -195,10 +196,6 @@ def restarted(
 def is_masked(node: object) -> bool:
     """Returns whether an optimizer state has nothing in place of a field, as `optax.partition` leaves it."""
     return isinstance(node, optax.MaskedNode)
-
-
-def _broadcast(rows: Bool[Array, " n"], axes: int) -> Bool[Array, "n ..."]:
-    return rows.reshape(-1, *[1] * (axes - 1))
 
 
 def without_locked_bands(

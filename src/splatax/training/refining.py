@@ -17,8 +17,8 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Bool, Int, PRNGKeyArray
 
 from splatax.gaussians import Gaussians
-from splatax.training.capacity import bucket_for, only
-from splatax.training.devices import BLOCK, EVERYWHERE, ROWS, Sharding
+from splatax.training.capacity import across, bucket_for, only
+from splatax.training.devices import BLOCK, EVERYWHERE, ROWS, Sharding, is_by_row
 from splatax.training.optimizer import restarted
 from splatax.training.protocols import DensityPlan, DensityStrategy, HostOrDevice, UpdateRule
 from splatax.training.recipes import Recipe
@@ -132,13 +132,13 @@ def sent(plan: DensityPlan, before: int, rows: int, sharding: Sharding) -> tuple
 @partial(jax.jit, static_argnames="manner")
 def _on_one_device(kept: Kept, parents: Int[Array, " m"], new: NewRows, manner: Manner) -> Kept:
     rows = len(kept.gaussians)
-    taken = jax.tree.map(lambda leaf: leaf[parents] if _is_by_row(leaf, rows) else leaf, kept)
+    taken = jax.tree.map(lambda leaf: leaf[parents] if is_by_row(leaf, rows) else leaf, kept)
     return _made(taken, new, manner)
 
 
 @partial(jax.jit, static_argnames=("manner", "mesh"))
 def _on_devices(kept: Kept, ways: Routes, new: NewRows, manner: Manner, mesh: Mesh) -> Kept:
-    places = jax.tree.map(lambda leaf: ROWS if _is_by_row(leaf, len(kept.gaussians)) else EVERYWHERE, kept)
+    places = jax.tree.map(lambda leaf: ROWS if is_by_row(leaf, len(kept.gaussians)) else EVERYWHERE, kept)
     is_row = [place == ROWS for place in jax.tree.leaves(places)]
 
     def on_each(kept: Kept, ways: Routes, new: NewRows) -> Kept:
@@ -177,12 +177,8 @@ def _made(parents: Kept, new: NewRows, manner: Manner) -> Kept:
         return Kept(gaussians, opt_state, first)
 
     def followed(leaf, start):
-        if not _is_by_row(leaf, rows):
+        if not is_by_row(leaf, rows):
             return leaf
-        return jnp.where(living.reshape(-1, *[1] * (leaf.ndim - 1)), leaf, start)
+        return jnp.where(across(living, leaf.ndim), leaf, start)
 
     return Kept(gaussians, opt_state, jax.tree.map(followed, parents.density_state, first))
-
-
-def _is_by_row(leaf: Any, rows: int) -> bool:
-    return leaf.ndim > 0 and leaf.shape[0] == rows

@@ -12,6 +12,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Int
 
+from splatax.training.capacity import across
 from splatax.training.devices import AXIS, BLOCK
 from splatax.training.protocols import HostOrDevice
 
@@ -79,5 +80,4 @@ def fetch(leaf: Array, sent: Int[Array, "receivers most"], taken: Int[Array, " r
     got = lax.all_to_all(leaf[sent], AXIS, split_axis=0, concat_axis=0, tiled=True)
     got = got.reshape(-1, *leaf.shape[1:])
     from_others = got[jnp.maximum(taken - own, 0)]
-    is_own = (taken < own).reshape(-1, *[1] * (leaf.ndim - 1))
-    return jnp.where(is_own, leaf[jnp.minimum(taken, own - 1)], from_others)
+    return jnp.where(across(taken < own, leaf.ndim), leaf[jnp.minimum(taken, own - 1)], from_others)

@@ -123,6 +123,8 @@ def test_problems_of_the_cameras_are_said_before_training(tmp_path, monkeypatch,
     placed, points = capsys.readouterr().out.splitlines()
     assert placed.startswith("warning: 1 photo is placed worse than the rest: photo05.png. Remove them")
     assert points.startswith("warning: Only 30 points to start from. Find more with detail high of")
+    prepared(capture, tmp_path, judged_by=tmp_path)
+    assert "warning" not in capsys.readouterr().out  # said by the run that judges this one
     prepared(capture, tmp_path, init="random", leave_out="photo05.png")
     assert "warning" not in capsys.readouterr().out  # neither the photo nor the points are used
 

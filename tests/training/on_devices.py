@@ -13,6 +13,7 @@ parser = argparse.ArgumentParser()
 parser.add_argument("recipe", choices=["default", "classic"])
 parser.add_argument("--devices", type=int, nargs="+", default=[8], help="a run for each number")
 parser.add_argument("--per-photo", action="store_true", help="with exposures, refined poses and weights")
+parser.add_argument("--apart", action="store_true", help="with points that most photos do not show")
 parser.add_argument("--geometry", action="store_true", help="with penalties on surfaces")
 parser.add_argument("--bytes", action="store_true", help="print what a step exchanges instead of training")
 parser.add_argument("--refinement", action="store_true", help="print what a refinement needs, likewise")
@@ -74,7 +75,7 @@ def seen() -> sx.Dataset:
     dataset = capture(views=12)
     few, rng = dataset.points, np.random.default_rng(1)
     each = POINTS // len(few)
-    near = rng.normal(scale=0.1, size=(POINTS, 3)).astype(np.float32)
+    near = rng.normal(scale=4.0 if options.apart else 0.1, size=(POINTS, 3)).astype(np.float32)
     points = sx.PointCloud(np.repeat(few.positions, each, 0) + near, np.repeat(few.colors, each, 0))
 
     def noted(view: sx.View) -> sx.View:
@@ -101,8 +102,12 @@ def owners(progress) -> int:
     return sum(bool(np.any(np.asarray(shard.data) > -np.inf)) for shard in shards)
 
 
-def exchanged(number: int) -> int:
-    """Bytes that a device gets in a step, counted from the compiled program."""
+def exchanged(number: int) -> list[int]:
+    """Bytes that a device gets in a step, counted from the compiled program.
+
+    Those of each part of the program that runs as a whole: of all steps first, then of all rows sent at once,
+    there or back, and of one piece of them.
+    """
     made = recipe().on(backends.resolve("cpu"))
     stepper = stepper_for(made, jax.devices()[:number])
     start = pad(made.initialization(dataset, 1, 0), ROWS)
@@ -111,11 +116,14 @@ def exchanged(number: int) -> int:
     openings = jnp.asarray(made.sh.openings(made.steps))
     arguments = state, views, made.optimizer.rates, openings, made, stepper.sharding.mesh
     text = step_on_views.lower(*arguments).compile().as_text()
-    kinds = re.findall(
-        r"= (.*?) (all-to-all|all-gather|all-reduce|reduce-scatter|collective-permute)\(", text
-    )
-    shapes = [shape for result, _ in kinds for shape in re.findall(r"[fsu]32\[([\d,]*)\]", result)]
-    return sum(4 * math.prod(int(n) for n in shape.split(",") if n) for shape in shapes)
+    kinds = r"= (.*?) (?:all-to-all|all-gather|all-reduce|reduce-scatter|collective-permute)\("
+    found = []
+    for part in text.split("\n\n"):
+        shapes = re.findall(r"(pred|[fsu]32)\[([\d,]*)\]", " ".join(re.findall(kinds, part)))
+        sizes = [math.prod(map(int, shape.split(","))) if shape else 1 for _, shape in shapes]
+        bytes_of = [1 if kind == "pred" else 4 for kind, _ in shapes]
+        found.append((part.startswith("ENTRY"), sum(map(math.prod, zip(sizes, bytes_of, strict=True)))))
+    return [total for _, total in sorted(found, reverse=True) if total]
 
 
 def held(number: int) -> int:
@@ -134,11 +142,16 @@ def held(number: int) -> int:
     return found.argument_size_in_bytes + found.output_size_in_bytes + found.temp_size_in_bytes
 
 
+def shown_in(scene: sx.Gaussians, camera: sx.Camera) -> float:
+    """The fraction of a scene that a photo shows."""
+    return float(np.mean(np.asarray(sx.project(scene, camera).extents)[:, 0] > 0))
+
+
 reads: list[str] = []
 dataset, start = seen(), None
 if options.bytes:
     for number in options.devices:
-        print("run", number, exchanged(number))
+        print("run", number, *exchanged(number))
     raise SystemExit
 if options.refinement:
     for number in options.devices:
@@ -154,5 +167,6 @@ for number in options.devices:
             break
     else:
         same = digest(progress.state), float(progress.loss)
+        print("shown", *(shown_in(progress.gaussians, view.camera) for view in dataset.train))
         print("run", number, first, progress.count, fewest, *same, flush=True)
 print("read", *reads, flush=True)

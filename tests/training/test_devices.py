@@ -32,6 +32,7 @@ from splatax.training.loop import first_state
 from splatax.training.optimizer import LearningRates, Optimizer
 from splatax.training.recipes import ShSchedule, with_views
 from splatax.training.step import compare
+from splatax.training.travel import MOST, PIECES
 from splatax.training.views import step_on_views
 
 HERE = Path(__file__).parent
@@ -131,12 +132,28 @@ def test_a_run_resumes_on_another_number_of_devices_with_the_same_bits():
     assert trained(*ON_EACH)[8].same == resumed[8].same
 
 
+@needs_cpu
+@pytest.mark.slow
+@pytest.mark.parametrize("recipe", ["default", "classic"])
+def test_rows_that_photos_do_not_show_stay_where_they_are_and_the_bits_are_the_same(recipe):
+    arguments = (recipe, "--apart", "--per-photo", "--devices", "1", "2", "8")
+    shown = [float(word) for word in re.search(r"shown (.*)", printed(*arguments))[1].split()]
+    assert max(shown) < MOST / PIECES, "a step that shows more sends all rows"
+    assert min(shown) > 1 / PIECES, "a photo must need more than one piece"
+    found = trained(*arguments)
+    assert {number: run.owners for number, run in found.items()} == {1: 1, 2: 2, 8: 8}
+    assert len({run.same for run in found.values()}) == 1
+
+
 @pytest.mark.slow
 @needs_cpu
 def test_a_step_exchanges_as_many_bytes_as_the_model_of_many_devices_counts():
-    counted = int(re.search(r"run 8 (\d+)", printed("default", "--bytes", "--devices", "8"))[1])
-    modelled = bytes_exchanged(16_384)
-    assert modelled <= counted < modelled + 1024, "beside splats and cotangents, a few numbers travel"
+    numbers = re.search(r"run 8 ([\d ]+)", printed("default", "--bytes", "--devices", "8"))[1]
+    always, there, back, piece_there, piece_back = map(int, numbers.split())
+    flags = bytes_exchanged(16_384, 0.0)
+    assert flags <= always < flags + 1024, "beside splats and cotangents, a few numbers travel"
+    assert flags + there + back == bytes_exchanged(16_384, 0.6)
+    assert flags + 2 * (piece_there + piece_back) == bytes_exchanged(16_384, 0.2)
 
 
 @pytest.mark.slow

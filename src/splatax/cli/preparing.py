@@ -78,7 +78,8 @@ def prepared(settings: Settings, dataset: sx.Dataset, out: Path) -> tuple[Settin
     """
     if settings.city:
         return settings, dataset  # all is decided for all blocks at once
-    warn_of_problems(settings, dataset)
+    if settings.judged_by is None:  # else the run that judges this one has warned of the same photos
+        warn_of_problems(settings, dataset)
     if settings.refine != "none":
         check_lenses(settings.refine, dataset.train)
     if settings.adjust_cameras != "none":

@@ -3,17 +3,20 @@
 A step draws one view on each device. A device
 
     projects its rows for every view, and moves them once           memory traffic
-    gets the splats of all rows for its view, and sends gradients   traffic between devices
+    gets the splats that its view shows, and sends gradients back   traffic between devices
     draws its view, forward and backward                            time by pixel and by visible splat
 
 Density control needs the old and the new rows of each device at a time. Test views and pictures are drawn by
 the first device of a process, which gets the Gaussians of all for it.
 
-Bytes are those of `splatax.training.views`, which the tests count in the compiled program. The rates of
+Bytes are those of `splatax.training.travel`, which the tests count in the compiled program. The rates of
 machines are assumptions, from data sheets and from published figures; nothing here was measured on them.
 """
 
+import math
 from dataclasses import dataclass
+
+from splatax.training.travel import MOST, PIECES
 
 FLOATS = 59  # of a Gaussian with harmonics of degree 3
 ROW = 4 * FLOATS
@@ -21,8 +24,9 @@ STATE = 3 * ROW + 4 * 3  # of a row: parameters, two moments, three statistics o
 ADAM = 7 * ROW  # a parameter and its two moments, read and written; its gradient, read
 THERE = 4 * 12  # of a splat: mean 2, shape 3, depth 1, extent 2, colour 3, opacity 1
 BACK = 4 * 12  # of its cotangent: mean 2, shape 3, depth 1, colour 3, opacity 1, pull 2
+FLAG = 1  # of a row in one view: whether the view shows it
 UNEVEN = 1.15  # time of the slowest view, as a multiple of the mean
-LATENCIES = 4  # collective operations of a step that wait for each other
+LATENCIES = 4  # collective operations of a step that wait for each other, beside those for splats
 
 
 @dataclass(frozen=True)
@@ -108,8 +112,11 @@ def cost(machine: Machine, devices: int, gaussians: int, pixels: int, seen: floa
     projected = devices * own * (ROW + seen * 2 * ROW + THERE + BACK)
     visible = seen * gaussians
     draw = (pixels * machine.pixel + visible * machine.splat) * 1e-6 * (UNEVEN if devices > 1 else 1)
-    exchanged = bytes_exchanged(gaussians) if devices > 1 else 0
+    exchanged = bytes_exchanged(gaussians, seen) if devices > 1 else 0
     splats = (devices * own + gaussians) * (THERE + BACK)  # of own rows in all views, and of all rows in one
+    if devices > 1:
+        splats += 2 * gaussians * THERE * MOST / PIECES  # of packed rows, there and here
+        projected += 2 * gaussians * (THERE + BACK) * (1 + seen)  # packing and unpacking
     near = (min(devices, machine.host) - 1) / devices
     far = max(devices - machine.host, 0) / devices
     travel = max(exchanged * near / machine.inside, exchanged * far / machine.between) * 1e-6
@@ -117,7 +124,7 @@ def cost(machine: Machine, devices: int, gaussians: int, pixels: int, seen: floa
         rows=(projected + own * ADAM) / machine.memory * 1e-6,
         draw=draw,
         travel=travel,
-        wait=LATENCIES * machine.latency if devices > 1 else 0.0,
+        wait=(LATENCIES + 2 * exchanges(seen)) * machine.latency if devices > 1 else 0.0,
         exchanged=exchanged,
         memory=max(own * 4 * ROW + splats + pixels * 160, own * 2 * STATE) / 1e9,
         state=own * STATE / 1e9,
@@ -125,6 +132,19 @@ def cost(machine: Machine, devices: int, gaussians: int, pixels: int, seen: floa
     )
 
 
-def bytes_exchanged(rows: int) -> int:
-    """Returns the bytes that a device gets in a step that draws one view on it: all rows, there and back."""
-    return rows * (THERE + BACK)
+def exchanges(seen: float) -> int:
+    """Returns the exchanges of splats in a step, each way, if a photo shows this fraction of the rows."""
+    pieces = math.ceil(seen * PIECES)
+    return pieces if pieces <= MOST else 1
+
+
+def bytes_exchanged(rows: int, seen: float) -> int:
+    """Returns the bytes that a device gets in a step that draws one view on it, there and back.
+
+    Args:
+        rows: of the scene.
+        seen: the largest fraction of the rows of a device that a view shows.
+    """
+    pieces = math.ceil(seen * PIECES)
+    travelling = rows * pieces // PIECES if pieces <= MOST else rows
+    return rows * FLAG + travelling * (THERE + BACK)

@@ -3,8 +3,7 @@
 See `splatax.training.views`.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -17,10 +16,11 @@ from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
 from splatax.pytrees import pytree
 from splatax.splats import Splats
-from splatax.training.devices import BLOCK, exchange, exchange_back, from_all_views, own_views, sum_in_order
+from splatax.training.devices import BLOCK, from_all_views, own_views, sum_in_order
 from splatax.training.protocols import Source
 from splatax.training.recipes import Recipe
 from splatax.training.step import Shown, Target, TrainState, shown, surroundings, weighted_loss
+from splatax.training.travel import to_drawers, to_owners, travel_of
 
 
 @pytree
@@ -92,48 +92,15 @@ def compare_views(
             view, appearance, target, recipe
         )
 
+    travel = travel_of(view.splats.extents)
     progress = jnp.full(views.photo.shape[0], state.step / state.total)
     targets = Target(views.photo, views.mask, views.landmarks, backgrounds, cameras, progress, weights)
-    (_, losses), (d_arrived, d_appearances) = lax.map(draw, (_to_drawers(view), appearances, targets))
-    d_view = _to_owners(d_arrived)
+    (_, losses), (d_arrived, d_appearances) = lax.map(draw, (to_drawers(view, travel), appearances, targets))
+    d_view = to_owners(d_arrived, travel)
     d_gaussians, d_corrections = pull_back(jax.tree.map(lambda leaf: leaf / count, d_view))
     losses, d_appearances = jax.tree.map(from_all_views, (losses, d_appearances))
     d_corrections = jax.tree.map(sum_in_order, d_corrections)
     return losses, view.splats, Differences(d_gaussians, d_view.splats, d_appearances, d_corrections)
-
-
-def _to_drawers(view: Shown) -> Shown:
-    """Sends the rows of all views to those who draw them.
-
-    What all devices know is not sent: `pull`, which is zero, and the width of a panorama.
-    """
-    splats = view.splats
-    there = _rows_sent(view._replace(splats=replace(splats, pull=None, period=None)), exchange)
-    pull = None if splats.pull is None else jnp.zeros_like(there.splats.means2d)
-    period = None if splats.period is None else own_views(splats.period)
-    return there._replace(splats=replace(there.splats, pull=pull, period=period))
-
-
-def _to_owners(d_view: Shown) -> Shown:
-    """Sends the cotangents of views back to the owners of the rows. Extents and periods have none."""
-    splats = d_view.splats
-    unknown: Any = None  # in place of an array
-    back = _rows_sent(d_view._replace(splats=replace(splats, extents=unknown, period=None)), exchange_back)
-    views, rows, _ = back.splats.means2d.shape
-    extents = jnp.zeros((views, rows, 2), splats.extents.dtype)
-    period = None if splats.period is None else jnp.zeros(views, splats.period.dtype)
-    return back._replace(splats=replace(back.splats, extents=extents, period=period))
-
-
-def _rows_sent(view: Shown, exchanged: Callable[[Array], Array]) -> Shown:
-    rows = view.splats.depths.shape[1]
-
-    def sent(leaf: Array) -> Array:
-        # The channels of a panorama have a second set of rows, for the copies beyond its seam.
-        parts = jnp.split(leaf, leaf.shape[1] // rows, axis=1)
-        return jnp.concatenate([exchanged(part) for part in parts], axis=1)
-
-    return jax.tree.map(sent, view)
 
 
 def _for_photos(part: Any, state: Any, source: Source) -> Any:

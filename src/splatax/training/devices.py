@@ -201,20 +201,27 @@ def in_order(rows: np.ndarray, devices: int) -> np.ndarray:
     return blocks.swapaxes(0, 1).reshape(rows.shape)
 
 
-def exchange(leaf: Array) -> Array:
-    """Sends rows from [all views, own rows] to [own views, all rows in order]. Inside `shard_map`."""
-    devices = lax.axis_size(AXIS)
-    blocks = leaf.reshape(leaf.shape[0], -1, 1, BLOCK, *leaf.shape[2:])
-    blocks = lax.all_to_all(blocks, AXIS, split_axis=0, concat_axis=2, tiled=True)
-    return blocks.reshape(leaf.shape[0] // devices, -1, *leaf.shape[2:])
+def sent_to_drawers(leaf: Array) -> Array:
+    """Sends rows [all views, 1, own rows] to [own views, owners, their rows]. Inside `shard_map`."""
+    return lax.all_to_all(leaf, AXIS, split_axis=0, concat_axis=1, tiled=True)
 
 
-def exchange_back(leaf: Array) -> Array:
-    """Sends rows from [own views, all rows in order] to [all views, own rows]: the inverse of `exchange`."""
-    devices = lax.axis_size(AXIS)
-    blocks = leaf.reshape(leaf.shape[0], -1, devices, BLOCK, *leaf.shape[2:])
-    blocks = lax.all_to_all(blocks, AXIS, split_axis=2, concat_axis=0, tiled=True)
-    return blocks.reshape(leaf.shape[0] * devices, -1, *leaf.shape[2:])
+def sent_to_owners(leaf: Array) -> Array:
+    """Sends rows [own views, owners, their rows] to [all views, 1, own rows]. Inside `shard_map`."""
+    return lax.all_to_all(leaf, AXIS, split_axis=1, concat_axis=0, tiled=True)
+
+
+def in_scene(leaf: Array) -> Array:
+    """Returns rows [views, all rows in the order of the scene], from [views, owners, their rows]."""
+    blocks = leaf.reshape(*leaf.shape[:2], -1, BLOCK, *leaf.shape[3:])
+    return jnp.swapaxes(blocks, 1, 2).reshape(leaf.shape[0], -1, *leaf.shape[3:])
+
+
+def by_owner(leaf: Array) -> Array:
+    """Returns rows [views, owners, their rows], from [views, all rows in order]. Inside `shard_map`."""
+    owners = lax.axis_size(AXIS)
+    blocks = leaf.reshape(leaf.shape[0], -1, owners, BLOCK, *leaf.shape[2:])
+    return jnp.swapaxes(blocks, 1, 2).reshape(leaf.shape[0], owners, -1, *leaf.shape[2:])
 
 
 def own_views(leaf: Array) -> Array:

@@ -113,6 +113,8 @@ VARIANTS: dict[str, Variant] = {
     "SSIM 0.4": lambda r: replace(r, objective=replace(r.objective, loss=Photometric(0.4))),
     "opacity penalty 0.03": lambda r: prior(r, 0.03, 0.01),
     "opacity penalty 0.01": lambda r: prior(r, 0.01, 0.01),
+    "opacity penalty 0.003": lambda r: prior(r, 0.003, 0.01),
+    "scale penalty x 10": lambda r: prior(r, 0.01, 0.1),
     "scale penalty x 3": lambda r: prior(r, 0.01, 0.03),
     "scale penalty / 3": lambda r: prior(r, 0.01, 0.003),
     "noise": lambda r: noise(r, 5e5),

@@ -1,4 +1,4 @@
-"""Whole commands `splatax create`, from drawn photos and from a drawn video to the page."""
+"""Whole commands `splatax create`, from drawn photos, panoramas and a drawn video to the page."""
 
 import json
 
@@ -7,8 +7,10 @@ import pytest
 from PIL import Image
 
 import corner
+import papered_room
 import splatax as sx
 from splatax import cli
+from splatax.dataset import photos_in
 from splatax.io import video
 from splatax.reconstruction import pipeline
 from splatax.web import page
@@ -76,3 +78,16 @@ def test_a_video_becomes_a_page(tmp_path):
     assert run["judged_by"]["test"] == trial["test"]
     assert "The exposure of the photos differs." not in opening
     assert (tmp_path / "my room" / "scene.html").exists()
+
+
+@pytest.mark.slow
+def test_panoramas_become_a_page(tmp_path, capsys):
+    photos, out = tmp_path / "photos", tmp_path / "my room"
+    photos.mkdir()
+    papered_room.write(photos)
+    cli.main(["create", str(photos), "--out", str(out), *QUICK])
+    told = capsys.readouterr().out
+    assert "6 photos of 360 degrees, in 36 faces" in told
+    assert told.count("warning: Only 6 photos.") == 1
+    assert photos_in(sx.load_dataset(out / "capture").views) == papered_room.COUNT
+    assert (out / "scene.html").exists()

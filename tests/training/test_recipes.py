@@ -94,6 +94,14 @@ def test_rates_are_raised_for_short_runs_and_never_fall_below_the_authors():
     assert rates_for(1) == rates_for(500)
 
 
+def test_long_runs_penalize_opacity_more_by_the_photos_that_they_look_at():
+    def weight(*arguments, **options):
+        return sx.recipes.default(*arguments, **options).objective.prior.opacity
+
+    assert weight(7_999) == weight(999, views=8) == 0.003
+    assert weight(8_000) == weight(1_000, views=8) == weight() == 0.01
+
+
 def test_room_grows_with_pixels_and_with_the_root_of_the_number_of_photos():
     def photos(count, size):
         camera = camera_at(size=size)

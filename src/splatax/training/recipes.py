@@ -183,18 +183,31 @@ def mcmc(steps: int = 30_000, max_gaussians: int = 1_000_000, views: int = 1) ->
 GROWING = 3  # `default` grows for the first 1 / GROWING of a run
 COARSE = 2  # and sees photos of half size for the first 1 / COARSE
 GROWN = 0.85  # fraction of a run after which relocation ends and the learning rates fall
+LONG = 8_000  # photos that a run looks at, from which its scene over-fits; see docs/recipes.md
+
+
+def opacity_penalty(photos: int) -> float:
+    """Returns the weight of the mean opacity in the prior of `default`.
+
+    A small one leaves surfaces solid. A long run over-fits with it. There are only two, so that runs of
+    different length share compiled programs.
+
+    Args:
+        photos: that the run looks at, with repetitions.
+    """
+    return 0.003 if photos < LONG else 0.01
 
 
 def default(steps: int = 30_000, max_gaussians: int = 1_000_000, views: int = 1) -> Recipe:
     """Returns the recipe with the best known results for a given number of steps.
 
     It differs from `mcmc` in that it grows early, to exactly `max_gaussians`, and in that its learning
-    rates are higher the fewer photos it looks at.
+    rates are higher, and its penalty on opacity lower, the fewer photos it looks at.
     """
     recipe = Recipe(
         steps=steps,
         initialization=FromPoints(opacity=0.5, scale=0.1),
-        objective=Objective(prior=Sparsity(opacity=0.003)),
+        objective=Objective(prior=Sparsity(opacity=opacity_penalty(steps * views))),
         optimizer=Optimizer(
             rates=replace(rates_for(steps * views), settled=0.05, settling_from=GROWN), reach=ViewDepth()
         ),

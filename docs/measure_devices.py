@@ -1,6 +1,7 @@
 """Measures the cost of dividing a training step among devices: two against one, and a named one against none.
 
-python docs/measure_devices.py [GAUSSIANS WIDTH HEIGHT ROUNDS]
+python docs/measure_devices.py [GAUSSIANS WIDTH HEIGHT ROUNDS [SEEN]]
+    SEEN        fraction of the Gaussians that the photos show, in no order; 1 by default
 
 Steps of several ways are made in turn, so that other work on the machine disturbs all alike. Each has the
 same scene, a sheet of Gaussians with the statistics of a trained scene, and photos of it. A ratio is the
@@ -10,6 +11,7 @@ median of those of all rounds, with the quartiles.
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import jax
 
@@ -67,10 +69,18 @@ def quartiles(values: Sequence[float]) -> str:
     return f"{middle:.3f} ({low:.3f} to {high:.3f})"
 
 
+def partly_seen(scene: Scene, seen: float) -> Scene:
+    """Returns a scene of which the photos show a fraction; the rest is moved far aside."""
+    hidden = np.random.default_rng(1).uniform(size=len(scene.gaussians)) >= seen
+    means = scene.gaussians.means.at[:, 0].add(jnp.where(hidden, 1e3, 0.0))
+    return replace(scene, gaussians=replace(scene.gaussians, means=means))
+
+
 def main() -> None:
     """Times all ways in turn, and prints times of each and ratios of pairs."""
-    count, width, height, rounds = (int(word) for word in (sys.argv[1:] or (100_000, 504, 378, 20)))
-    scene = procedural(count, (width, height))
+    numbers = sys.argv[1:] or ["100000", "504", "378", "20"]
+    count, width, height, rounds = map(int, numbers[:4])
+    scene = partly_seen(procedural(count, (width, height)), float((*numbers, 1)[4]))
     runs = {name: steps_of(scene, *way) for name, way in WAYS.items()}
     for steps in runs.values():
         timed(steps)  # compiles

@@ -5,7 +5,7 @@ import pytest
 
 import splatax as sx
 from scenes import random_gaussians
-from splatax.bench import roofline, timing
+from splatax.bench import operations, roofline, timing
 from splatax.bench.scenes import framed, procedural
 
 
@@ -32,6 +32,11 @@ def test_procedural_scenes_fill_the_image_with_as_many_layers(count):
     assert float(sx.render(scene.gaussians, scene.camera).alpha.mean()) > 0.9
     area = np.pi / 9 * float((splats.extents[:, 0] * splats.extents[:, 1]).sum())  # of 1-sigma boxes
     assert 3 < area / (84 * 63) < 40
+
+
+def test_images_of_many_features_that_would_not_fit_in_memory_are_not_timed():
+    assert operations.widths_for((504, 378)) == operations.widths_for((3840, 2160)) == (1, 16, 64)
+    assert operations.widths_for((7680, 4320)) == (1, 16)
 
 
 def test_a_whole_scene_is_in_view():

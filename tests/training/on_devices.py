@@ -14,6 +14,7 @@ parser.add_argument("recipe", choices=["default", "classic"])
 parser.add_argument("--devices", type=int, nargs="+", default=[8], help="a run for each number")
 parser.add_argument("--per-photo", action="store_true", help="with exposures, refined poses and weights")
 parser.add_argument("--apart", action="store_true", help="with points that most photos do not show")
+parser.add_argument("--packed", action="store_true", help="as devices that do not share their memory")
 parser.add_argument("--geometry", action="store_true", help="with penalties on surfaces")
 parser.add_argument("--bytes", action="store_true", help="print what a step exchanges instead of training")
 parser.add_argument("--refinement", action="store_true", help="print what a refinement needs, likewise")
@@ -35,7 +36,7 @@ from test_training import capture  # noqa: E402
 
 import splatax as sx  # noqa: E402
 from splatax import backends  # noqa: E402
-from splatax.training import checkpoint  # noqa: E402
+from splatax.training import checkpoint, travel  # noqa: E402
 from splatax.training.appearance import Exposure  # noqa: E402
 from splatax.training.camera_refinement import Poses  # noqa: E402
 from splatax.training.capacity import pad  # noqa: E402
@@ -147,6 +148,8 @@ def shown_in(scene: sx.Gaussians, camera: sx.Camera) -> float:
     return float(np.mean(np.asarray(sx.project(scene, camera).extents)[:, 0] > 0))
 
 
+if options.packed:
+    travel.share_memory = lambda mesh: False
 reads: list[str] = []
 dataset, start = seen(), None
 if options.bytes:

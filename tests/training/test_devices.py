@@ -136,7 +136,7 @@ def test_a_run_resumes_on_another_number_of_devices_with_the_same_bits():
 @pytest.mark.slow
 @pytest.mark.parametrize("recipe", ["default", "classic"])
 def test_rows_that_photos_do_not_show_stay_where_they_are_and_the_bits_are_the_same(recipe):
-    arguments = (recipe, "--apart", "--per-photo", "--devices", "1", "2", "8")
+    arguments = (recipe, "--packed", "--apart", "--per-photo", "--devices", "1", "2", "8")
     shown = [float(word) for word in re.search(r"shown (.*)", printed(*arguments))[1].split()]
     assert max(shown) < MOST / PIECES, "a step that shows more sends all rows"
     assert min(shown) > 1 / PIECES, "a photo must need more than one piece"
@@ -145,10 +145,18 @@ def test_rows_that_photos_do_not_show_stay_where_they_are_and_the_bits_are_the_s
     assert len({run.same for run in found.values()}) == 1
 
 
+@needs_cpu
+@pytest.mark.slow
+def test_two_processes_that_send_only_what_photos_show_train_the_same_bits_as_one_that_sends_all():
+    options = ("default", "--apart")
+    ours, theirs = (results(output)[8] for output in trained_by_two(*options))
+    assert ours.same == theirs.same == trained(*options, "--devices", "8")[8].same
+
+
 @pytest.mark.slow
 @needs_cpu
 def test_a_step_exchanges_as_many_bytes_as_the_model_of_many_devices_counts():
-    numbers = re.search(r"run 8 ([\d ]+)", printed("default", "--bytes", "--devices", "8"))[1]
+    numbers = re.search(r"run 8 ([\d ]+)", printed("default", "--packed", "--bytes", "--devices", "8"))[1]
     always, there, back, piece_there, piece_back = map(int, numbers.split())
     flags = bytes_exchanged(16_384, 0.0)
     assert flags <= always < flags + 1024, "beside splats and cotangents, a few numbers travel"

@@ -23,6 +23,7 @@ from splatax.training.step import train_step
 Operation = Callable[[], Any]  # returns the arrays to wait for
 BACKWARD = " F+B"  # forward and backward
 FEATURES = (1, 16, 64)
+LARGEST = 2.2e9  # bytes of an image of features; gradients need several of its size
 VIEWS, SMALL = 64, (64, 64)  # cameras of a batch, and their size in pixels
 
 
@@ -82,12 +83,17 @@ def viewing(scene: Scene, backend: str) -> dict[str, Operation]:
     return {"render": lambda: draw(scene.gaussians, scene.camera).rgb}
 
 
+def widths_for(size: tuple[int, int]) -> tuple[int, ...]:
+    """Returns the numbers of features to blend in images of a size: those whose image is not too large."""
+    return tuple(width for width in FEATURES if 4 * width * size[0] * size[1] <= LARGEST)
+
+
 def features(scene: Scene, backend: str) -> dict[str, Operation]:
-    """Returns operations that blend 1, 16 and 64 features, forward and with gradients."""
+    """Returns operations that blend features, as `widths_for`, forward and with gradients."""
     splats = project(scene.gaussians, scene.camera, backend=backend)
     rng = np.random.default_rng(0)
     found: dict[str, Operation] = {}
-    for width in FEATURES:
+    for width in widths_for((scene.camera.width, scene.camera.height)):
         values = jnp.asarray(rng.uniform(size=(len(scene.gaussians), width)), jnp.float32)
 
         @jax.jit

@@ -15,7 +15,7 @@ from rich.table import Table
 
 import splatax as sx
 from splatax.bench import roofline
-from splatax.bench.operations import Operation, operations
+from splatax.bench.operations import FEATURES, Operation, operations, widths_for
 from splatax.bench.plot import plot
 from splatax.bench.scenes import Scene, framed, procedural
 from splatax.bench.timing import Timing, interleaved
@@ -66,6 +66,9 @@ class Bench:
         flops = roofline.peak_flops()
         if flops:
             console.print(f"multiply-adds: {flops / 1e9:.0f} GFLOP/s at most")
+        for width, height in sizes:
+            if too_many := [str(each) for each in FEATURES if each not in widths_for((width, height))]:
+                say(f"{width} x {height}: images of {', '.join(too_many)} features are too large, not timed")
         results = []
         for make in makers:
             for size in sizes:

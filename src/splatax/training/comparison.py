@@ -67,9 +67,17 @@ class Differences:
 
 
 def compare_views(
-    state: TrainState, views: Views, recipe: Recipe, key: PRNGKeyArray
+    state: TrainState, views: Views, recipe: Recipe, key: PRNGKeyArray, packed: bool
 ) -> tuple[Float[Array, " k"], Splats, Differences]:
-    """Returns the losses of all views, the splats of own rows in them, and the gradients."""
+    """Returns the losses of all views, the splats of own rows in them, and the gradients.
+
+    Args:
+        state: own rows.
+        views: of the step.
+        recipe: the settings.
+        key: of the backgrounds.
+        packed: whether only splats that views show are sent.
+    """
     count = views.source.view.shape[0]
     corrections = _for_photos(recipe.camera_refinement, state.cameras, views.source)
     show = partial(_shown, views=views, recipe=recipe, extent=state.extent)
@@ -92,7 +100,7 @@ def compare_views(
             view, appearance, target, recipe
         )
 
-    travel = travel_of(view.splats.extents)
+    travel = travel_of(view.splats.extents) if packed else None
     progress = jnp.full(views.photo.shape[0], state.step / state.total)
     targets = Target(views.photo, views.mask, views.landmarks, backgrounds, cameras, progress, weights)
     (_, losses), (d_arrived, d_appearances) = lax.map(draw, (to_drawers(view, travel), appearances, targets))

@@ -6,8 +6,9 @@
 A row that a view does not show stays where it is: its splat is culled at the drawer, and its cotangent is
 zero. The others are sent in pieces of one size, as many as the fullest device needs, so no row can be cut
 off. If a view shows more than half of the rows of a device, all rows of the step are sent at once instead.
+Devices that share the memory of one process always send all: copying costs them less than packing.
 
-All functions are for the inside of `shard_map`.
+All functions but one are for the inside of `shard_map`.
 """
 
 from collections.abc import Callable
@@ -18,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.sharding import Mesh
 from jaxtyping import Array, Bool, Float, Int
 
 from splatax.training.devices import AXIS, by_owner, in_scene, own_views, sent_to_drawers, sent_to_owners
@@ -48,15 +50,31 @@ class Way(NamedTuple):
         parted: returns rows with an axis of those who get them, or of the only one here.
         send: sends the parted rows; the axis is then that of those who sent them.
         joined: returns the rows that have come without that axis.
-        leaving: rows that travel, as `parted` returns them.
-        coming: rows that have travelled, as `send` returns them.
     """
 
     parted: Callable[[Array], Array]
     send: Callable[[Array], Array]
     joined: Callable[[Array], Array]
+
+
+class Chosen(NamedTuple):
+    """The rows that are sent one way.
+
+    Attributes:
+        leaving: which of the rows that `Way.parted` returns.
+        coming: which of the rows that `Way.send` returns.
+        pieces: as in `Travel`.
+    """
+
     leaving: Bool[Array, "_ _ rows"]
     coming: Bool[Array, "_ _ rows"]
+    pieces: Int[Array, ""]
+
+
+def share_memory(mesh: Mesh) -> bool:
+    """Returns whether the devices are processors of one process, such as the host devices of JAX."""
+    devices = list(mesh.devices.flat)
+    return all(each.platform == "cpu" and each.process_index == devices[0].process_index for each in devices)
 
 
 def travel_of(extents: Float[Array, "k rows 2"]) -> Travel:
@@ -67,36 +85,39 @@ def travel_of(extents: Float[Array, "k rows 2"]) -> Travel:
     return Travel(shown, sent_to_drawers(shown), -(-most // (shown.shape[2] // PIECES)))
 
 
-def to_drawers(view: Shown, travel: Travel) -> Shown:
+def to_drawers(view: Shown, travel: Travel | None) -> Shown:
     """Returns the rows of all devices in own views, from own rows in all views.
 
-    What all devices know is not sent: `pull`, which is zero, and the width of a panorama.
+    Without `travel`, all rows are sent at once. What all devices know is not sent: `pull`, which is zero, and
+    the width of a panorama.
     """
     splats = view.splats
-    way = Way(lambda rows: rows[:, None], sent_to_drawers, in_scene, travel.shown, travel.there)
-    there = _sent(view._replace(splats=replace(splats, pull=None, period=None)), way, travel.pieces)
+    way = Way(lambda rows: rows[:, None], sent_to_drawers, in_scene)
+    chosen = None if travel is None else Chosen(travel.shown, travel.there, travel.pieces)
+    there = _sent(view._replace(splats=replace(splats, pull=None, period=None)), way, chosen)
     pull = None if splats.pull is None else jnp.zeros_like(there.splats.means2d)
     period = None if splats.period is None else own_views(splats.period)
     return there._replace(splats=replace(there.splats, pull=pull, period=period))
 
 
-def to_owners(d_view: Shown, travel: Travel) -> Shown:
+def to_owners(d_view: Shown, travel: Travel | None) -> Shown:
     """Returns the cotangents of own rows in all views, from those of all rows in own views.
 
-    Extents and periods have none.
+    Without `travel`, all rows are sent at once. Extents and periods have no cotangents.
     """
     splats = d_view.splats
     unknown: Any = None  # in place of an array
-    way = Way(by_owner, sent_to_owners, lambda rows: rows[:, 0], travel.there, travel.shown)
-    back = _sent(d_view._replace(splats=replace(splats, extents=unknown, period=None)), way, travel.pieces)
+    way = Way(by_owner, sent_to_owners, lambda rows: rows[:, 0])
+    chosen = None if travel is None else Chosen(travel.there, travel.shown, travel.pieces)
+    back = _sent(d_view._replace(splats=replace(splats, extents=unknown, period=None)), way, chosen)
     views, rows, _ = back.splats.means2d.shape
     extents = jnp.zeros((views, rows, 2), splats.extents.dtype)
     period = None if splats.period is None else jnp.zeros(views, splats.period.dtype)
     return back._replace(splats=replace(back.splats, extents=extents, period=period))
 
 
-def _sent(view: Shown, way: Way, pieces: Int[Array, ""]) -> Shown:
-    """Sends the arrays of a view, whose first axes are views and rows."""
+def _sent(view: Shown, way: Way, chosen: Chosen | None) -> Shown:
+    """Sends the arrays of a view, whose first axes are views and rows; all rows if none are chosen."""
     if lax.axis_size(AXIS) == 1:
         return view
     rows = view.splats.depths.shape[1]
@@ -107,12 +128,15 @@ def _sent(view: Shown, way: Way, pieces: Int[Array, ""]) -> Shown:
     def every(columns):
         return [way.joined(way.send(way.parted(column))) for column in columns]
 
-    def some(columns):
-        packed = _packed(way.parted(jnp.concatenate(columns, axis=2)), way.leaving)
-        come = _unpacked(_in_pieces(packed, way.send, pieces), way.coming)
+    def some(columns, chosen):
+        packed = _packed(way.parted(jnp.concatenate(columns, axis=2)), chosen.leaving)
+        come = _unpacked(_in_pieces(packed, way.send, chosen.pieces), chosen.coming)
         return jnp.split(way.joined(come), ends[:-1], axis=2)
 
-    found = lax.cond(pieces > MOST, every, some, columns)
+    if chosen is None:
+        found = every(columns)
+    else:
+        found = lax.cond(chosen.pieces > MOST, lambda all_rows, _: every(all_rows), some, columns, chosen)
     shapes = [(leaf.shape[1] // rows, *leaf.shape[2:]) for leaf in leaves]
     return jax.tree.unflatten(tree, [_rows(*pair) for pair in zip(found, shapes, strict=True)])
 

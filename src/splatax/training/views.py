@@ -20,6 +20,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from splatax.gaussians import Gaussians
 from splatax.splats import Splats
+from splatax.training import travel
 from splatax.training.canvases import filling
 from splatax.training.comparison import Differences, Views, compare_views
 from splatax.training.devices import (
@@ -66,7 +67,7 @@ def step_on_views(
     for name in ("photo", "mask", "landmarks"):
         if getattr(views, name) is not None:
             seen = replace(seen, **{name: VIEWS})
-    step = partial(_on_each, recipe=recipe)
+    step = partial(_on_each, recipe=recipe, packed=not travel.share_memory(mesh))
     sharded = jax.shard_map(
         step,
         mesh=mesh,
@@ -78,11 +79,16 @@ def step_on_views(
 
 
 def _on_each(
-    state: TrainState, views: Views, rates: LearningRates, openings: Float[Array, " bands"], recipe: Recipe
+    state: TrainState,
+    views: Views,
+    rates: LearningRates,
+    openings: Float[Array, " bands"],
+    recipe: Recipe,
+    packed: bool,
 ) -> tuple[TrainState, Float[Array, ""]]:
     """Makes the part of one device in a step."""
     background_key, noise_key = jax.random.split(jax.random.fold_in(state.key, state.step))
-    losses, splats, d = compare_views(state, views, recipe, background_key)
+    losses, splats, d = compare_views(state, views, recipe, background_key, packed)
     good = jnp.all(jnp.isfinite(losses))  # if not, nothing moves; see `splatax.training.step`
 
     living = lax.psum(jnp.sum(state.gaussians.opacity_logits > -jnp.inf), AXIS)

@@ -6,10 +6,12 @@ import pytest
 
 from splatax.runs.budget import (
     FEWEST_STEPS,
+    MOST_VISITS,
     ROUND,
     Cost,
     Costs,
     coarse_size,
+    longest_run,
     mean_count,
     measured,
     parse_seconds,
@@ -61,6 +63,22 @@ def test_a_run_of_many_steps_goes_on_to_six_gaussians_a_step_up_to_the_limit_of_
     assert long.max_gaussians == 6 * long.steps // ROUND * ROUND > 9_000
     assert longest.max_gaussians == 18_000 < 6 * longest.steps
     assert plan(SLOW, 600, 500, room=9_000).max_gaussians == 9_000
+
+
+def test_a_run_ends_before_its_time_if_more_steps_would_over_fit():
+    few, many = longest_run(20), longest_run(10_000)
+    assert plan(FAST, 3600, 500, room=9_000, longest=few).steps == few == 20 * MOST_VISITS
+    assert plan(SLOW, 60, 500, room=9_000, longest=many) == plan(SLOW, 60, 500, room=9_000)
+    assert longest_run(0) == FEWEST_STEPS
+
+
+@pytest.mark.parametrize("planned", [False, True])
+def test_the_clock_does_not_extend_a_run_beyond_the_steps_that_over_fit(planned):
+    expected = Expected(SLOW, 10_000, 50_000) if planned else None
+    clock = Clock(seconds=600.0, expected=expected, longest=1_000)
+    for step, seconds in ((600, 1.0), (700, 1.1), (800, 1.2)):  # far faster than planned
+        clock.note(step, 1_000, seconds)
+    assert all(total <= 1_000 for _, total in clock.made)
 
 
 def test_a_number_of_gaussians_that_is_given_is_kept():

@@ -23,7 +23,7 @@ from splatax.cli.view import audience
 from splatax.dataset import Dataset
 from splatax.evaluation import require_scorable
 from splatax.report import held_out
-from splatax.runs.budget import DENSEST
+from splatax.runs.budget import DENSEST, longest_run
 from splatax.runs.checkpoints import Checkpoints, NoCheckpoints
 from splatax.runs.claim import claimed_for_run, require_space
 from splatax.runs.clock import Changes, Clock
@@ -149,6 +149,7 @@ def changes_of_steps(decided: Decided, history: History) -> Changes:
         (history.steps, history.train_seconds),
         decided.expected,
         left=partial(deadline.left, decided.dataset) if deadline else None,
+        longest=longest_run(len(decided.dataset.train)),
     )
 
 

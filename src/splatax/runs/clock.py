@@ -73,6 +73,7 @@ class Clock(Changes):
             take as long as the latest.
         slowness: measured time of steps over the planned time, for each look at the clock.
         left: returns the seconds left for training, where the whole command is limited; else None.
+        longest: upper limit of the number of steps.
     """
 
     seconds: float = 0.0
@@ -80,6 +81,7 @@ class Clock(Changes):
     expected: Expected | None = None
     slowness: list[float] = field(default_factory=list)
     left: Callable[[], float] | None = None
+    longest: int = 10_000_000
 
     def due(self, step: int, total: int) -> bool:
         """Returns true every 5 percent of the run; if it was not planned, after its first fifth."""
@@ -96,6 +98,7 @@ class Clock(Changes):
         if self.expected is None:
             a_step = (seconds - then) / (step - before)
             planned = max(step + max(round((self.seconds - seconds) / a_step), 1), FEWEST_STEPS)
+            planned = max(min(planned, self.longest), step + 1)
             if planned < total or (planned > total and before > total / COARSE):
                 self.made.append((step, planned))
             return
@@ -108,14 +111,14 @@ class Clock(Changes):
         planned = self._affordable(step, left, slowness)
         if step < STEADY * total:
             planned = round(np.clip(planned, total / STRIDE, total * STRIDE))
-        planned = max(planned, FEWEST_STEPS, step + 1)
+        planned = max(min(planned, self.longest), FEWEST_STEPS, step + 1)
         if planned != total:
             self.made.append((step, planned))
 
     def _affordable(self, step: int, left: float, slowness: float) -> int:
         """Returns the most steps for which the rest of the run takes no longer than the time left."""
         assert self.expected
-        low, high = step, 10_000_000
+        low, high = step, max(self.longest, step)
         while low < high:
             middle = (low + high + 1) // 2
             if slowness * self.expected.seconds_left(step, middle) <= left:

@@ -18,15 +18,14 @@ from splatax.io.video import writing
 SIZE = (640, 480)
 STOPS = (0.5, -0.4, 0.1, -0.6, 0.6, 0.3, -0.5, 0.0, 0.4, -0.3, -0.1, 0.2)  # of the exposures
 GAMMA = 2.2  # of the camera
-AZIMUTHS, FRAMES = (-50.0, 50.0), 40
+PAST, FRAMES = 50.0, 40  # degrees to each side of a walk; pictures of a video
 
 
-def walk(count: int, elevations: tuple[float, ...]) -> list[np.ndarray]:
-    """Returns photos from left to right, 8 bits."""
+def walk(count: int, past: float) -> list[np.ndarray]:
+    """Returns photos from left to right, 8 bits; the first and the last are `past` degrees aside."""
     still_life = scene_named("still-life")
-    scene = replace(
-        still_life, viewpoints=replace(still_life.viewpoints, azimuths=AZIMUTHS, elevations=elevations)
-    )
+    viewpoints = replace(still_life.viewpoints, azimuths=(-past, past), elevations=(25.0,))
+    scene = replace(still_life, viewpoints=viewpoints)
     cameras = sorted(scene.cameras(count, SIZE), key=lambda camera: float(camera.position[0]))
     return [np.asarray(photograph(camera, still_life))[..., :3] for camera in cameras]
 
@@ -41,11 +40,11 @@ def main(kind: str, out: Path) -> None:
     """Draws what is asked for."""
     if kind == "uneven":
         out.mkdir(parents=True, exist_ok=True)
-        for number, (photo, stops) in enumerate(zip(walk(len(STOPS), (20.0, 32.0)), STOPS, strict=True)):
+        for number, (photo, stops) in enumerate(zip(walk(len(STOPS), PAST / 2), STOPS, strict=True)):
             Image.fromarray(exposed(photo, stops)).save(out / f"IMG_{1201 + number}.jpg", quality=95)
     else:
         with writing(out, SIZE, fps=10) as add:
-            for photo in walk(FRAMES, (25.0,)):
+            for photo in walk(FRAMES, PAST):
                 add(photo)
 
 

@@ -8,6 +8,8 @@ from jaxtyping import Array, Float, Int
 from splatax.gaussians import Gaussians
 from splatax.training.protocols import Prior
 
+LONG = 8_000  # photos that a run looks at, from which its scene over-fits; see docs/recipes.md
+
 
 @dataclass(frozen=True)
 class NoPrior:
@@ -64,3 +66,15 @@ class Priors:
     ) -> Float[Array, ""]:
         """Returns the sum of the penalties."""
         return sum((part(gaussians, extent, living) for part in self.parts), start=jnp.zeros(()))
+
+
+def opacity_penalty(photos: int) -> float:
+    """Returns the weight of the mean opacity in the prior of `default`.
+
+    A small one leaves surfaces solid. A long run over-fits with it. There are only two, so that runs of
+    different length share compiled programs.
+
+    Args:
+        photos: that the run looks at, with repetitions.
+    """
+    return 0.003 if photos < LONG else 0.01

@@ -23,7 +23,7 @@ from splatax.training.initialize import Discs, FromPoints, InFrusta
 from splatax.training.noise import Langevin
 from splatax.training.optimizer import Adam, Optimizer, ViewDepth, rates_for
 from splatax.training.photo_weights import EqualWeights
-from splatax.training.priors import NoPrior, Sparsity
+from splatax.training.priors import NoPrior, Sparsity, opacity_penalty
 from splatax.training.protocols import (
     Appearance,
     Background,
@@ -183,19 +183,6 @@ def mcmc(steps: int = 30_000, max_gaussians: int = 1_000_000, views: int = 1) ->
 GROWING = 3  # `default` grows for the first 1 / GROWING of a run
 COARSE = 2  # and sees photos of half size for the first 1 / COARSE
 GROWN = 0.85  # fraction of a run after which relocation ends and the learning rates fall
-LONG = 8_000  # photos that a run looks at, from which its scene over-fits; see docs/recipes.md
-
-
-def opacity_penalty(photos: int) -> float:
-    """Returns the weight of the mean opacity in the prior of `default`.
-
-    A small one leaves surfaces solid. A long run over-fits with it. There are only two, so that runs of
-    different length share compiled programs.
-
-    Args:
-        photos: that the run looks at, with repetitions.
-    """
-    return 0.003 if photos < LONG else 0.01
 
 
 def default(steps: int = 30_000, max_gaussians: int = 1_000_000, views: int = 1) -> Recipe:

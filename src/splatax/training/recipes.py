@@ -125,14 +125,14 @@ class Recipe:
         return Renderer(drawing.background.rgb, drawing.low_pass, drawing.backend)
 
 
-BATCH_POWER = 0.65  # chosen on training photos of fern that no run had seen, as the memory of squares was
+BATCH_POWER = 0.85  # chosen on training photos of fern and fox that no run had seen; see docs/scale.md
 
 
 def with_views(recipe: Recipe, views: int) -> Recipe:
     """Returns a recipe whose steps learn from several photos each, for as many photos as one a step sees.
 
     The mean of k gradients has 1 / k of the variance of one, so steps may be longer: learning rates are
-    raised by k^0.65. Adam remembers squares of gradients for as many photos as before: b2 becomes b2^k
+    raised by k^0.85. Adam remembers squares of gradients for as many photos as before: b2 becomes b2^k
     (Grendel-GS, Zhao et al. 2025, who raise rates by k^0.5, and b1 to b1^k too). The number of steps stays: a
     run looks at `views` times as many photos.
     """

@@ -51,7 +51,6 @@ def by_photos(recipe: Recipe, photos: int) -> Recipe:
 
 VARIANTS: dict[str, Callable[[int, int, int], Recipe]] = {
     "one": lambda p, n, s: replace(default(p, n, 1), seed=s),
-    "eight": lambda p, n, s: replace(default(p // VIEWS, n, VIEWS), seed=s),  # as `train --views 8`
     "now": as_now,
     "betas": lambda p, n, s: betas(as_now(p, n, s)),
     "b2": lambda p, n, s: betas(as_now(p, n, s), first=False),

@@ -1,6 +1,6 @@
 """Measures the cost of dividing a training step among devices: two against one, and a named one against none.
 
-python docs/measure_devices.py [GAUSSIANS WIDTH HEIGHT ROUNDS [SEEN]]
+python docs/measure_devices.py [GAUSSIANS WIDTH HEIGHT ROUNDS SEEN]
     SEEN        fraction of the Gaussians that the photos show, in no order; 1 by default
 
 Steps of several ways are made in turn, so that other work on the machine disturbs all alike. Each has the
@@ -28,6 +28,7 @@ from splatax.training.density import NoDensityControl  # noqa: E402
 from splatax.training.loop import Progress, RunState, first_state, optimize  # noqa: E402
 from splatax.training.recipes import ShSchedule, with_views  # noqa: E402
 
+DEFAULTS = "100000", "504", "378", "20", "1"
 VIEWS, AT_ONCE = 8, 4  # photos of a step; steps between two looks at the clocks
 WAYS = {  # photos of a step and number of devices; None if none is named
     "1 photo": (1, None),
@@ -78,9 +79,10 @@ def partly_seen(scene: Scene, seen: float) -> Scene:
 
 def main() -> None:
     """Times all ways in turn, and prints times of each and ratios of pairs."""
-    numbers = sys.argv[1:] or ["100000", "504", "378", "20"]
-    count, width, height, rounds = map(int, numbers[:4])
-    scene = partly_seen(procedural(count, (width, height)), float((*numbers, 1)[4]))
+    given = sys.argv[1:]
+    *sizes, seen = (*given, *DEFAULTS[len(given) :])
+    count, width, height, rounds = map(int, sizes)
+    scene = partly_seen(procedural(count, (width, height)), float(seen))
     runs = {name: steps_of(scene, *way) for name, way in WAYS.items()}
     for steps in runs.values():
         timed(steps)  # compiles

@@ -121,9 +121,11 @@ def exchanged(number: int) -> list[int]:
     found = []
     for part in text.split("\n\n"):
         shapes = re.findall(r"(pred|[fsu]32)\[([\d,]*)\]", " ".join(re.findall(kinds, part)))
-        sizes = [math.prod(map(int, shape.split(","))) if shape else 1 for _, shape in shapes]
-        bytes_of = [1 if kind == "pred" else 4 for kind, _ in shapes]
-        found.append((part.startswith("ENTRY"), sum(map(math.prod, zip(sizes, bytes_of, strict=True)))))
+        total = sum(
+            (1 if kind == "pred" else 4) * math.prod(int(n) for n in shape.split(",") if n)
+            for kind, shape in shapes
+        )
+        found.append((part.startswith("ENTRY"), total))
     return [total for _, total in sorted(found, reverse=True) if total]
 
 

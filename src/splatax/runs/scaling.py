@@ -132,10 +132,16 @@ def cost(machine: Machine, devices: int, gaussians: int, pixels: int, seen: floa
     )
 
 
-def exchanges(seen: float) -> int:
-    """Returns the exchanges of splats in a step, each way, if a photo shows this fraction of the rows."""
+def pieces_sent(seen: float) -> int:
+    """Returns the pieces that are sent if a view shows this fraction of the rows; `PIECES` are all rows."""
     pieces = math.ceil(seen * PIECES)
-    return pieces if pieces <= MOST else 1
+    return pieces if pieces <= MOST else PIECES
+
+
+def exchanges(seen: float) -> int:
+    """Returns the exchanges of splats in a step, each way: one for each piece, or one for all rows."""
+    pieces = pieces_sent(seen)
+    return pieces if pieces < PIECES else 1
 
 
 def bytes_exchanged(rows: int, seen: float) -> int:
@@ -145,6 +151,4 @@ def bytes_exchanged(rows: int, seen: float) -> int:
         rows: of the scene.
         seen: the largest fraction of the rows of a device that a view shows.
     """
-    pieces = math.ceil(seen * PIECES)
-    travelling = rows * pieces // PIECES if pieces <= MOST else rows
-    return rows * FLAG + travelling * (THERE + BACK)
+    return rows * FLAG + rows * pieces_sent(seen) // PIECES * (THERE + BACK)

@@ -10,7 +10,7 @@ Only this file and `routes` know on which device a row is.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -26,6 +26,7 @@ from splatax.training.step import TrainState
 AXIS = "device"
 BLOCK = 1024  # rows
 PIECE = 256_000_000  # bytes that are on a device at a time when rows of all are copied to the host
+AnyArray = TypeVar("AnyArray", Array, np.ndarray)  # on the host or on a device
 ROWS, VIEWS, EVERYWHERE = PartitionSpec(AXIS), PartitionSpec(AXIS), PartitionSpec()
 
 
@@ -189,13 +190,13 @@ def _piece(leaf: Array, start: Array, size: int, mesh: Mesh) -> Array:
     )(leaf, start)
 
 
-def by_device(rows: np.ndarray, devices: int) -> np.ndarray:
+def by_device(rows: AnyArray, devices: int) -> AnyArray:
     """Returns rows by device, from rows in order."""
     blocks = rows.reshape(-1, devices, BLOCK, *rows.shape[1:])
     return blocks.swapaxes(0, 1).reshape(rows.shape)
 
 
-def in_order(rows: np.ndarray, devices: int) -> np.ndarray:
+def in_order(rows: AnyArray, devices: int) -> AnyArray:
     """Returns rows in order, from rows by device."""
     blocks = rows.reshape(devices, -1, BLOCK, *rows.shape[1:])
     return blocks.swapaxes(0, 1).reshape(rows.shape)
@@ -213,15 +214,16 @@ def sent_to_owners(leaf: Array) -> Array:
 
 def in_scene(leaf: Array) -> Array:
     """Returns rows [views, all rows in the order of the scene], from [views, owners, their rows]."""
-    blocks = leaf.reshape(*leaf.shape[:2], -1, BLOCK, *leaf.shape[3:])
-    return jnp.swapaxes(blocks, 1, 2).reshape(leaf.shape[0], -1, *leaf.shape[3:])
+    views, owners, rows = leaf.shape[:3]
+    by_view = leaf.reshape(views, owners * rows, *leaf.shape[3:])
+    return jax.vmap(partial(in_order, devices=owners))(by_view)
 
 
 def by_owner(leaf: Array) -> Array:
     """Returns rows [views, owners, their rows], from [views, all rows in order]. Inside `shard_map`."""
     owners = lax.axis_size(AXIS)
-    blocks = leaf.reshape(leaf.shape[0], -1, owners, BLOCK, *leaf.shape[2:])
-    return jnp.swapaxes(blocks, 1, 2).reshape(leaf.shape[0], owners, -1, *leaf.shape[2:])
+    by_view = jax.vmap(partial(by_device, devices=owners))(leaf)
+    return by_view.reshape(leaf.shape[0], owners, -1, *leaf.shape[2:])
 
 
 def own_views(leaf: Array) -> Array:

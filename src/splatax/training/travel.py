@@ -8,7 +8,7 @@ zero. The others are sent in pieces of one size, as many as the fullest device n
 off. If a view shows more than half of the rows of a device, all rows of the step are sent at once instead.
 Devices that share the memory of one process always send all: copying costs them less than packing.
 
-All functions but one are for the inside of `shard_map`.
+All functions but `share_memory` are for the inside of `shard_map`.
 """
 
 from collections.abc import Callable
@@ -30,45 +30,35 @@ MOST = PIECES // 2  # pieces of a step; one that needs more sends all rows at on
 
 
 class Travel(NamedTuple):
-    """The rows of a step that travel.
+    """The rows of a step that are sent one way: from their owners, or back to them.
 
     Attributes:
-        shown: own rows that each view shows.
-        there: rows of all owners that own views show.
-        pieces: number of pieces that hold them; above `MOST`, all rows travel.
+        leaving: rows that this device sends, in the form that `Way.send` takes.
+        coming: rows that it gets, in the form that `Way.send` returns.
+        pieces: number of pieces that hold them; above `MOST`, all rows are sent.
     """
 
-    shown: Bool[Array, "k 1 rows"]
-    there: Bool[Array, "v owners rows"]
+    leaving: Bool[Array, "_ owners rows"]
+    coming: Bool[Array, "_ owners rows"]
     pieces: Int[Array, ""]
+
+    def back(self) -> "Travel":
+        """Returns the same rows on their way back."""
+        return Travel(self.coming, self.leaving, self.pieces)
 
 
 class Way(NamedTuple):
-    """A way that rows are sent: to the drawers of views or back.
+    """A way that rows are sent: to the drawers of views, or back to the owners.
 
     Attributes:
-        parted: returns rows with an axis of those who get them, or of the only one here.
-        send: sends the parted rows; the axis is then that of those who sent them.
-        joined: returns the rows that have come without that axis.
+        by_owner: gives rows an axis of owners, after that of views.
+        send: sends rows with this axis. A drawer has the rows of all owners, an owner only its own.
+        joined: returns rows without this axis.
     """
 
-    parted: Callable[[Array], Array]
+    by_owner: Callable[[Array], Array]
     send: Callable[[Array], Array]
     joined: Callable[[Array], Array]
-
-
-class Chosen(NamedTuple):
-    """The rows that are sent one way.
-
-    Attributes:
-        leaving: which of the rows that `Way.parted` returns.
-        coming: which of the rows that `Way.send` returns.
-        pieces: as in `Travel`.
-    """
-
-    leaving: Bool[Array, "_ _ rows"]
-    coming: Bool[Array, "_ _ rows"]
-    pieces: Int[Array, ""]
 
 
 def share_memory(mesh: Mesh) -> bool:
@@ -78,7 +68,7 @@ def share_memory(mesh: Mesh) -> bool:
 
 
 def travel_of(extents: Float[Array, "k rows 2"]) -> Travel:
-    """Returns which rows travel, from the extents of own rows in all views."""
+    """Returns which rows travel to the drawers, from the extents of own rows in all views."""
     shown = jnp.any(extents > 0, axis=2)
     most = lax.pmax(jnp.max(jnp.sum(shown, axis=1)), AXIS)
     shown = shown[:, None]
@@ -93,8 +83,7 @@ def to_drawers(view: Shown, travel: Travel | None) -> Shown:
     """
     splats = view.splats
     way = Way(lambda rows: rows[:, None], sent_to_drawers, in_scene)
-    chosen = None if travel is None else Chosen(travel.shown, travel.there, travel.pieces)
-    there = _sent(view._replace(splats=replace(splats, pull=None, period=None)), way, chosen)
+    there = _sent(view._replace(splats=replace(splats, pull=None, period=None)), way, travel)
     pull = None if splats.pull is None else jnp.zeros_like(there.splats.means2d)
     period = None if splats.period is None else own_views(splats.period)
     return there._replace(splats=replace(there.splats, pull=pull, period=period))
@@ -103,21 +92,25 @@ def to_drawers(view: Shown, travel: Travel | None) -> Shown:
 def to_owners(d_view: Shown, travel: Travel | None) -> Shown:
     """Returns the cotangents of own rows in all views, from those of all rows in own views.
 
-    Without `travel`, all rows are sent at once. Extents and periods have no cotangents.
+    `travel` is that to the drawers; without it, all rows are sent at once. Extents and periods have no
+    cotangents.
     """
     splats = d_view.splats
     unknown: Any = None  # in place of an array
     way = Way(by_owner, sent_to_owners, lambda rows: rows[:, 0])
-    chosen = None if travel is None else Chosen(travel.there, travel.shown, travel.pieces)
-    back = _sent(d_view._replace(splats=replace(splats, extents=unknown, period=None)), way, chosen)
+    back = _sent(
+        d_view._replace(splats=replace(splats, extents=unknown, period=None)),
+        way,
+        None if travel is None else travel.back(),
+    )
     views, rows, _ = back.splats.means2d.shape
     extents = jnp.zeros((views, rows, 2), splats.extents.dtype)
     period = None if splats.period is None else jnp.zeros(views, splats.period.dtype)
     return back._replace(splats=replace(back.splats, extents=extents, period=period))
 
 
-def _sent(view: Shown, way: Way, chosen: Chosen | None) -> Shown:
-    """Sends the arrays of a view, whose first axes are views and rows; all rows if none are chosen."""
+def _sent(view: Shown, way: Way, travel: Travel | None) -> Shown:
+    """Sends the arrays of a view, whose first axes are views and rows."""
     if lax.axis_size(AXIS) == 1:
         return view
     rows = view.splats.depths.shape[1]
@@ -125,18 +118,18 @@ def _sent(view: Shown, way: Way, chosen: Chosen | None) -> Shown:
     columns = [_columns(leaf, rows) for leaf in leaves]
     ends = np.cumsum([column.shape[2] for column in columns])
 
-    def every(columns):
-        return [way.joined(way.send(way.parted(column))) for column in columns]
+    def every(columns, _):
+        return [way.joined(way.send(way.by_owner(column))) for column in columns]
 
-    def some(columns, chosen):
-        packed = _packed(way.parted(jnp.concatenate(columns, axis=2)), chosen.leaving)
-        come = _unpacked(_in_pieces(packed, way.send, chosen.pieces), chosen.coming)
+    def some(columns, travel):
+        packed = _packed(way.by_owner(jnp.concatenate(columns, axis=2)), travel.leaving)
+        come = _unpacked(_in_pieces(packed, way.send, travel.pieces), travel.coming)
         return jnp.split(way.joined(come), ends[:-1], axis=2)
 
-    if chosen is None:
-        found = every(columns)
+    if travel is None:
+        found = every(columns, travel)
     else:
-        found = lax.cond(chosen.pieces > MOST, lambda all_rows, _: every(all_rows), some, columns, chosen)
+        found = lax.cond(travel.pieces > MOST, every, some, columns, travel)
     shapes = [(leaf.shape[1] // rows, *leaf.shape[2:]) for leaf in leaves]
     return jax.tree.unflatten(tree, [_rows(*pair) for pair in zip(found, shapes, strict=True)])
 

@@ -64,6 +64,18 @@ def test_a_long_run_grows_to_twice_the_usual_gaussians_if_they_fit(capture, monk
     assert settings.max_gaussians == expected * room_for(dataset)
 
 
+def test_a_run_that_would_over_fit_ends_before_its_time_and_says_so(capture, monkeypatch, capsys):
+    dataset = made()
+    monkeypatch.setattr(planning, "measured", lambda *_: Costs(Cost(1e-3, 0.0), Cost(1e-3, 0.0)))
+    settings, _, _ = planning.planned(Settings(capture, budget="10min"), dataset, Room())
+    assert settings.steps == 500 * len(dataset.train)
+    told = capsys.readouterr().out
+    assert "more than 500 steps for each photo over-fit, so the run ends before its time" in told
+    assert "10:00 min" not in told
+    planning.planned(Settings(capture, budget="1s"), dataset, Room())
+    assert "over-fit" not in capsys.readouterr().out
+
+
 def test_a_limit_that_the_start_exceeds_is_refused_with_the_numbers(capture, tmp_path, capsys):
     with pytest.raises(SystemExit):
         cli.main(["train", str(capture), "--out", str(tmp_path / "run"), "--memory", "100MB"])

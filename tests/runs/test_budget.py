@@ -8,6 +8,7 @@ from splatax.runs.budget import (
     FEWEST_STEPS,
     MOST_VISITS,
     ROUND,
+    Bounds,
     Cost,
     Costs,
     coarse_size,
@@ -38,7 +39,7 @@ def test_what_is_no_time_is_refused(text):
 @pytest.mark.parametrize("seconds", [30, 300, 3600])
 @pytest.mark.parametrize("costs", [FAST, SLOW])
 def test_a_plan_takes_the_time_that_it_is_given(costs, seconds):
-    chosen = plan(costs, seconds, first=10_000, room=100_000)
+    chosen = plan(costs, seconds, first=10_000, bounds=Bounds(100_000))
     spent = costs.run(chosen.steps, 10_000, chosen.max_gaussians)
     one_more = costs.run(chosen.steps + 1, 10_000, chosen.max_gaussians + ROUND)
     assert spent <= seconds < one_more
@@ -52,23 +53,25 @@ def test_a_run_has_as_many_gaussians_in_the_mean_as_it_has_over_the_steps_of_its
 
 
 def test_more_time_is_more_steps_and_more_gaussians_up_to_what_there_is_room_for():
-    plans = [plan(SLOW, seconds, first=10_000, room=100_000) for seconds in (20, 60, 600)]
+    plans = [plan(SLOW, seconds, first=10_000, bounds=Bounds(100_000)) for seconds in (20, 60, 600)]
     assert plans[0].steps < plans[1].steps < plans[2].steps
     assert plans[0].max_gaussians < plans[1].max_gaussians <= plans[2].max_gaussians == 100_000
 
 
 def test_a_run_of_many_steps_goes_on_to_six_gaussians_a_step_up_to_the_limit_of_any_run():
-    short, long, longest = (plan(SLOW, seconds, 500, room=9_000, ample=18_000) for seconds in (15, 70, 600))
+    short, long, longest = (
+        plan(SLOW, seconds, 500, bounds=Bounds(9_000, ample=18_000)) for seconds in (15, 70, 600)
+    )
     assert short.max_gaussians == 9_000 > 6 * short.steps
     assert long.max_gaussians == 6 * long.steps // ROUND * ROUND > 9_000
     assert longest.max_gaussians == 18_000 < 6 * longest.steps
-    assert plan(SLOW, 600, 500, room=9_000).max_gaussians == 9_000
+    assert plan(SLOW, 600, 500, bounds=Bounds(9_000)).max_gaussians == 9_000
 
 
 def test_a_run_ends_before_its_time_if_more_steps_would_over_fit():
     few, many = longest_run(20), longest_run(10_000)
-    assert plan(FAST, 3600, 500, room=9_000, longest=few).steps == few == 20 * MOST_VISITS
-    assert plan(SLOW, 60, 500, room=9_000, longest=many) == plan(SLOW, 60, 500, room=9_000)
+    assert plan(FAST, 3600, 500, bounds=Bounds(9_000, steps=few)).steps == few == 20 * MOST_VISITS
+    assert plan(SLOW, 60, 500, bounds=Bounds(9_000, steps=many)) == plan(SLOW, 60, 500, bounds=Bounds(9_000))
     assert longest_run(0) == FEWEST_STEPS
 
 
@@ -82,11 +85,11 @@ def test_the_clock_does_not_extend_a_run_beyond_the_steps_that_over_fit(planned)
 
 
 def test_a_number_of_gaussians_that_is_given_is_kept():
-    assert plan(SLOW, 60, first=10_000, room=100_000, most=30_000).max_gaussians == 30_000
+    assert plan(SLOW, 60, first=10_000, bounds=Bounds(100_000), most=30_000).max_gaussians == 30_000
 
 
 def test_too_little_time_still_makes_some_steps():
-    assert plan(SLOW, 0.1, first=10_000, room=100_000).steps == FEWEST_STEPS
+    assert plan(SLOW, 0.1, first=10_000, bounds=Bounds(100_000)).steps == FEWEST_STEPS
 
 
 @pytest.mark.parametrize("factor", [0.6, 1.0, 1.7])
@@ -118,7 +121,7 @@ def test_a_run_ends_in_time_whatever_the_plan_took_the_speed_for(factor):
 )
 def test_a_planned_run_keeps_its_time_and_its_full_size_half_on_a_busy_machine(busy):
     first, budget = 10_000, 60.0
-    chosen = plan(SLOW, budget, first, room=100_000)
+    chosen = plan(SLOW, budget, first, bounds=Bounds(100_000))
     clock = Clock(seconds=budget, expected=Expected(SLOW, first, chosen.max_gaussians))
     total, seconds, step, full_size = chosen.steps, 0.0, 0, 0
     while step < total:
@@ -136,7 +139,7 @@ def test_a_planned_run_keeps_its_time_and_its_full_size_half_on_a_busy_machine(b
 
 def test_what_is_done_between_steps_counts_where_the_whole_command_is_limited():
     first, limit, picture = 10_000, 60.0, 0.4  # seconds for a picture, which is no time of training
-    chosen = plan(SLOW, limit, first, room=100_000)
+    chosen = plan(SLOW, limit, first, bounds=Bounds(100_000))
     pictures = 0.0
     clock = Clock(seconds=limit, expected=Expected(SLOW, first, chosen.max_gaussians))
     clock.left = lambda: limit - seconds - pictures

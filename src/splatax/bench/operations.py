@@ -23,7 +23,7 @@ from splatax.training.step import train_step
 Operation = Callable[[], Any]  # returns the arrays to wait for
 BACKWARD = " F+B"  # forward and backward
 FEATURES = (1, 16, 64)
-LARGEST = 2.2e9  # bytes of an image of features; gradients need several of its size
+LARGEST = 2.2e9  # bytes of an image of features; its gradient needs several times as much
 VIEWS, SMALL = 64, (64, 64)  # cameras of a batch, and their size in pixels
 
 
@@ -89,7 +89,7 @@ def widths_for(size: tuple[int, int]) -> tuple[int, ...]:
 
 
 def features(scene: Scene, backend: str) -> dict[str, Operation]:
-    """Returns operations that blend features, as `widths_for`, forward and with gradients."""
+    """Returns operations that blend several numbers of features, forward and with gradients."""
     splats = project(scene.gaussians, scene.camera, backend=backend)
     rng = np.random.default_rng(0)
     found: dict[str, Operation] = {}

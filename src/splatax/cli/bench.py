@@ -66,9 +66,12 @@ class Bench:
         flops = roofline.peak_flops()
         if flops:
             console.print(f"multiply-adds: {flops / 1e9:.0f} GFLOP/s at most")
-        for width, height in sizes:
-            if too_many := [str(each) for each in FEATURES if each not in widths_for((width, height))]:
-                say(f"{width} x {height}: images of {', '.join(too_many)} features are too large, not timed")
+        for size in sizes:
+            if too_many := [str(width) for width in FEATURES if width not in widths_for(size)]:
+                say(
+                    f"{size[0]} x {size[1]}: images of {', '.join(too_many)} features are too large for the "
+                    "memory, and left out"
+                )
         results = []
         for make in makers:
             for size in sizes:

@@ -12,7 +12,7 @@ from splatax.cli.settings import Settings
 from splatax.dataset import photos_in
 from splatax.errors import InputError
 from splatax.io.datasets.photos import counted
-from splatax.runs.budget import DENSEST, MOST_VISITS, duration, longest_run, measured, plan
+from splatax.runs.budget import DENSEST, MOST_VISITS, Bounds, duration, longest_run, measured, plan
 from splatax.runs.clock import Expected
 from splatax.runs.planning import Deadline, Room, gaussians_here, smaller_photos
 from splatax.training.recipes import MOST, PRESETS, detail_of, most_for, room_for, steps_for
@@ -101,11 +101,11 @@ def planned_by_time(
     first = recipe.initialization.number(dataset)
     asked = None if settings.max_gaussians == "auto" else settings.max_gaussians
     ample = min(DENSEST * most, room.gaussians, max(MOST, most))
-    longest = longest_run(len(dataset.train))
-    chosen = plan(costs, settings.seconds, first, most, asked, int(ample), longest)
+    bounds = Bounds(most, int(ample), longest_run(len(dataset.train)))
+    chosen = plan(costs, settings.seconds, first, bounds, asked)
     milliseconds = 1e3 * costs.fine.step(chosen.max_gaussians)
     seconds = settings.seconds
-    if chosen.steps == longest:
+    if chosen.steps == bounds.steps:
         seconds = min(costs.run(chosen.steps, first, chosen.max_gaussians), seconds)
         say(
             f"more than {MOST_VISITS} steps for each photo over-fit, so the run ends before its time. "

@@ -68,7 +68,7 @@ class Limits:
 
     budget: Annotated[str | None, shown_as("TIME")] = None
     """Training time limit, for example 30s, 5min or 1h. Steps and Gaussians are chosen to fit by the measured
-    speed of this machine; a run ends earlier if more steps would over-fit few photos. It can be repeated
+    speed of this machine. The run ends after 500 steps for each photo at the latest, and can be repeated
     exactly with --repeat. By default 6min, for create 10min, unless --steps or another --recipe is given."""
     within: Annotated[str | None, shown_as("TIME")] = None
     """Time limit of the whole command, for example 10min, instead of --budget: loading, planning and writing

@@ -27,7 +27,8 @@ DENSEST = 2  # limit of a long run, as a multiple of one for 8 pixels
 HEAVIER = 1.45  # a step of a capture than one of a procedural scene: 1.6 measured on fern, 1.4 on fox
 COMPILING = 0.7  # seconds for each size of the arrays that a scene grows through
 FEWEST_STEPS = 200  # with fewer, scenes are unusable, so a run may exceed its budget
-MOST_VISITS = 500  # of each photo; more over-fit, so a run may end before its time; see docs/recipes.md
+MOST_VISITS = 500  # steps for each training view: more over-fit; see docs/recipes.md
+UNLIMITED = 10_000_000  # steps
 PARTS = 400  # of a run, over which the cost of its steps is summed
 ROUND = 1_000  # Gaussians: plans that differ little share compiled programs
 SIZES = {"": 1.0, "b": 1.0, "kb": 1e3, "mb": 1e6, "gb": 1e9, "mib": 2.0**20, "gib": 2.0**30}
@@ -165,41 +166,47 @@ class Plan:
     max_gaussians: int
 
 
-def longest_run(photos: int) -> int:
-    """Returns the most steps that a run for a time makes, from the number of its training views."""
-    return max(MOST_VISITS * photos, FEWEST_STEPS)
+@dataclass(frozen=True)
+class Bounds:
+    """Upper limits of a plan.
+
+    Attributes:
+        room: number of Gaussians of a run of few steps.
+        ample: number of Gaussians of any run; None for `room`.
+        steps: number of steps.
+    """
+
+    room: int
+    ample: int | None = None
+    steps: int = UNLIMITED
 
 
-def plan(
-    costs: Costs,
-    seconds: int | float,
-    first: int,
-    room: int,
-    most: int | None = None,
-    ample: int | None = None,
-    longest: int = 10_000_000,
-) -> Plan:
+def longest_run(views: int) -> int:
+    """Returns the most steps of a run for a time, from the number of its training views."""
+    return max(MOST_VISITS * views, FEWEST_STEPS)
+
+
+def plan(costs: Costs, seconds: int | float, first: int, bounds: Bounds, most: int | None = None) -> Plan:
     """Plans the most steps that fit into a time, with as many Gaussians as they can train, or as are given.
 
-    A run of few steps grows to `GAUSSIANS_PER_STEP` Gaussians for each step, up to `room`. A run with many
-    steps for each of these goes beyond them: to `DENSER_PER_STEP` for each step, up to `ample`.
+    A run of few steps grows to `GAUSSIANS_PER_STEP` Gaussians for each step, up to `bounds.room`. A run with
+    many steps for each of these goes beyond them: to `DENSER_PER_STEP` for each step, up to `bounds.ample`.
 
     Args:
         costs: of a step on this machine.
         seconds: for the whole run.
         first: Gaussians at the start.
-        room: upper limit of the number of Gaussians of a run of few steps.
+        bounds: upper limits of the plan.
         most: the number of Gaussians to grow to; None to choose it.
-        ample: upper limit of the number of Gaussians of any run; None for `room`.
-        longest: upper limit of the number of steps.
     """
+    room, ample = bounds.room, bounds.ample or bounds.room
 
     def gaussians(steps: int) -> int:
         taught = GAUSSIANS_PER_STEP * steps // ROUND * ROUND
-        denser = min(DENSER_PER_STEP * steps // ROUND * ROUND, ample or room)
+        denser = min(DENSER_PER_STEP * steps // ROUND * ROUND, ample)
         return most or int(max(np.clip(taught, min(first, room), room), denser))
 
-    low, high = FEWEST_STEPS, longest
+    low, high = FEWEST_STEPS, bounds.steps
     while low < high:  # the most steps that fit
         middle = (low + high + 1) // 2
         if costs.run(middle, min(first, gaussians(middle)), gaussians(middle)) <= seconds:

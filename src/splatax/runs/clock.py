@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from splatax.runs.budget import FEWEST_STEPS, Costs
+from splatax.runs.budget import FEWEST_STEPS, UNLIMITED, Costs
 from splatax.training.recipes import COARSE
 
 RECENT = 5  # measurements whose median is the speed, so that compilation does not count as a lasting slowdown
@@ -81,7 +81,7 @@ class Clock(Changes):
     expected: Expected | None = None
     slowness: list[float] = field(default_factory=list)
     left: Callable[[], float] | None = None
-    longest: int = 10_000_000
+    longest: int = UNLIMITED
 
     def due(self, step: int, total: int) -> bool:
         """Returns true every 5 percent of the run; if it was not planned, after its first fifth."""

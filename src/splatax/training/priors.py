@@ -8,7 +8,7 @@ from jaxtyping import Array, Float, Int
 from splatax.gaussians import Gaussians
 from splatax.training.protocols import Prior
 
-LONG = 8_000  # photos that a run looks at, from which its scene over-fits; see docs/recipes.md
+LONG = 8_000  # a run that looks at so many photos over-fits with the smaller weight; see docs/recipes.md
 
 
 @dataclass(frozen=True)
@@ -71,10 +71,10 @@ class Priors:
 def opacity_penalty(photos: int) -> float:
     """Returns the weight of the mean opacity in the prior of `default`.
 
-    A small one leaves surfaces solid. A long run over-fits with it. There are only two, so that runs of
-    different length share compiled programs.
+    The smaller weight keeps surfaces solid, but long runs over-fit with it. There are only two weights, so
+    that runs of different lengths share compiled programs.
 
     Args:
-        photos: that the run looks at, with repetitions.
+        photos: number of photos that the run looks at, with repetitions.
     """
     return 0.003 if photos < LONG else 0.01

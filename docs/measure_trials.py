@@ -18,9 +18,21 @@ import jax.numpy as jnp
 import numpy as np
 from measure_long import VARIANTS, loaded, rates, settling, varied
 from scipy.spatial.transform import Rotation, Slerp
-from trial_parts import BilateralGrid, FarPulls, Huber, JaxAdam, LearnedSky, OpacityNoise, Rays, SecondOrder
+from trial_parts import (
+    BilateralGrid,
+    FarPulls,
+    Huber,
+    JaxAdam,
+    LearnedSky,
+    OpacityNoise,
+    Rays,
+    Reordered,
+    SecondOrder,
+)
 
 import splatax as sx
+from splatax import backends
+from splatax.backends.protocol import Kernels
 from splatax.cameras import Camera
 from splatax.dataset import Dataset, Pixels, View
 from splatax.evaluation import Scores, ViewScore, picture, score
@@ -97,6 +109,27 @@ def far_pulls(depth: float) -> Trial:
     def trial(dataset: Dataset, recipe: Recipe) -> Trained:
         known = {each.name: getattr(recipe.density, each.name) for each in fields(recipe.density)}
         return plain(dataset, replace(recipe, density=FarPulls(**known, full=depth * dataset.extent)))
+
+    return trial
+
+
+def ordered(by_distance: float, tilt: float = 0.0, *, drawn_by_distance: bool) -> Trial:
+    """Returns the trial of splats in another order, in training, in the scores or in both.
+
+    Args:
+        by_distance: probability that a step of training draws by distance, and not by depth.
+        tilt: as `Reordered`, for the depths.
+        drawn_by_distance: whether the scores are of pictures in the order of distances.
+    """
+    usual = backends.resolve("auto")
+
+    def kernels(probability: float, tilt: float = 0.0) -> Kernels:
+        project = Reordered(usual.project, probability, tilt)
+        return replace(usual, name=f"{usual.name} reordered", project=project)
+
+    def trial(dataset: Dataset, recipe: Recipe) -> Trained:
+        trained = plain(dataset, recipe.on(kernels(by_distance, tilt)))
+        return replace(trained, renderer=Renderer(backend=kernels(float(drawn_by_distance))))
 
     return trial
 
@@ -234,6 +267,14 @@ TRIALS: dict[str, Trial] = {
     "opacity noise 0.5": of(lambda r: with_noise(r, 0.5)),
     "squares below 0.02": of(lambda r: with_loss(r, Huber(0.02))),
     "squares below 0.06": of(lambda r: with_loss(r, Huber(0.06))),
+    "by distance": ordered(1, drawn_by_distance=True),
+    "by distance: drawn by depth": ordered(1, drawn_by_distance=False),
+    "by depth: drawn by distance": ordered(0, drawn_by_distance=True),
+    "either order": ordered(0.5, drawn_by_distance=False),
+    "either order: drawn by distance": ordered(0.5, drawn_by_distance=True),
+    "tilted by up to 0.5": ordered(0, 0.5, drawn_by_distance=False),
+    "tilted by up to 1": ordered(0, 1.0, drawn_by_distance=False),
+    "tilted by up to 2": ordered(0, 2.0, drawn_by_distance=False),
     "pulls from 0.2": far_pulls(0.2),
     "pulls from 0.37": far_pulls(0.37),
     "pulls from 0.7": far_pulls(0.7),

@@ -10,9 +10,12 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
+from splatax.backends.protocol import Project
 from splatax.cameras import Camera
+from splatax.footprints import EWA, Method
 from splatax.gaussians import Gaussians
 from splatax.losses import ssim
+from splatax.low_pass import LowPass
 from splatax.math import quaternions
 from splatax.outputs import over
 from splatax.pipeline import composite
@@ -79,6 +82,39 @@ class OpacityNoise:
     def reborn(self, gaussians: Gaussians, state: Any, given: Any) -> Gaussians:
         """Returns what the strategy does."""
         return self.strategy.reborn(gaussians, state, given)
+
+
+@dataclass(frozen=True)
+class Reordered:
+    """A projection whose splats are drawn by their distances from the camera, or as if it looked elsewhere.
+
+    The order takes the place of the depths, which have no gradient: for colours only. At random, by the bits
+    of the positions of the splats, a step draws by distance, or by the depth along a tilted direction.
+
+    Attributes:
+        project: finds the splats.
+        by_distance: the probability of the order by distance.
+        tilt: tangent of the largest angle between the direction and the camera's; 0 for the usual depth.
+    """
+
+    project: Project
+    by_distance: float
+    tilt: float = 0.0
+
+    def __call__(
+        self, gaussians: Gaussians, camera: Camera, low_pass: LowPass, method: Method = EWA
+    ) -> Splats:
+        """Projects all Gaussians to one view."""
+        splats = self.project(gaussians, camera, low_pass, method)
+        bits = jax.lax.bitcast_convert_type(jax.lax.stop_gradient(splats.means2d), jnp.uint32)
+        which, length, turn = jax.random.uniform(jax.random.key(jnp.sum(bits, dtype=jnp.uint32)), (3,))
+        right, down, ahead = jax.lax.stop_gradient(camera.rotation)
+        aside = jnp.cos(2 * jnp.pi * turn) * right + jnp.sin(2 * jnp.pi * turn) * down
+        direction = ahead + self.tilt * jnp.sqrt(length) * aside
+        offsets = jax.lax.stop_gradient(gaussians.means - camera.position[None])
+        distances = jnp.sqrt(jnp.sum(jnp.square(offsets), axis=1))
+        depths = jnp.maximum(offsets @ direction, 1e-6)
+        return replace(splats, depths=jnp.where(which < self.by_distance, distances, depths))
 
 
 @dataclass(frozen=True)

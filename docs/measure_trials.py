@@ -113,23 +113,24 @@ def far_pulls(depth: float) -> Trial:
     return trial
 
 
+def reordered(by_distance: float, tilt: float = 0.0) -> Kernels:
+    """Returns kernels that draw by distance with this probability, else by depth; see `Reordered`."""
+    usual = backends.resolve("auto")
+    return replace(usual, name=f"{usual.name} reordered", project=Reordered(usual.project, by_distance, tilt))
+
+
 def ordered(by_distance: float, tilt: float = 0.0, *, drawn_by_distance: bool) -> Trial:
-    """Returns the trial of splats in another order, in training, in the scores or in both.
+    """Returns the trial of splats in another order.
 
     Args:
         by_distance: probability that a step of training draws by distance, and not by depth.
-        tilt: as `Reordered`, for the depths.
-        drawn_by_distance: whether the scores are of pictures in the order of distances.
+        tilt: see `Reordered`; of the steps that draw by depth.
+        drawn_by_distance: whether the pictures that are scored are drawn by distance.
     """
-    usual = backends.resolve("auto")
-
-    def kernels(probability: float, tilt: float = 0.0) -> Kernels:
-        project = Reordered(usual.project, probability, tilt)
-        return replace(usual, name=f"{usual.name} reordered", project=project)
 
     def trial(dataset: Dataset, recipe: Recipe) -> Trained:
-        trained = plain(dataset, recipe.on(kernels(by_distance, tilt)))
-        return replace(trained, renderer=Renderer(backend=kernels(float(drawn_by_distance))))
+        trained = plain(dataset, recipe.on(reordered(by_distance, tilt)))
+        return replace(trained, renderer=Renderer(backend=reordered(float(drawn_by_distance))))
 
     return trial
 
@@ -274,7 +275,6 @@ TRIALS: dict[str, Trial] = {
     "either order: drawn by distance": ordered(0.5, drawn_by_distance=True),
     "tilted by up to 0.5": ordered(0, 0.5, drawn_by_distance=False),
     "tilted by up to 1": ordered(0, 1.0, drawn_by_distance=False),
-    "tilted by up to 2": ordered(0, 2.0, drawn_by_distance=False),
     "pulls from 0.2": far_pulls(0.2),
     "pulls from 0.37": far_pulls(0.37),
     "pulls from 0.7": far_pulls(0.7),

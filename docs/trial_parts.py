@@ -86,10 +86,11 @@ class OpacityNoise:
 
 @dataclass(frozen=True)
 class Reordered:
-    """A projection whose splats are drawn by their distances from the camera, or as if it looked elsewhere.
+    """A projection whose splats are drawn in another order than that of their depths.
 
-    The order takes the place of the depths, which have no gradient: for colours only. At random, by the bits
-    of the positions of the splats, a step draws by distance, or by the depth along a tilted direction.
+    At each step, the order is chosen at random: that of the distances from the camera, or that of the depths
+    along a tilted direction. The random numbers come from the bits of the splats' positions. The numbers to
+    sort by replace the depths and have no gradient, so only colours can be drawn.
 
     Attributes:
         project: finds the splats.
@@ -112,7 +113,7 @@ class Reordered:
         aside = jnp.cos(2 * jnp.pi * turn) * right + jnp.sin(2 * jnp.pi * turn) * down
         direction = ahead + self.tilt * jnp.sqrt(length) * aside
         offsets = jax.lax.stop_gradient(gaussians.means - camera.position[None])
-        distances = jnp.sqrt(jnp.sum(jnp.square(offsets), axis=1))
+        distances = jnp.linalg.norm(offsets, axis=1)
         depths = jnp.maximum(offsets @ direction, 1e-6)
         return replace(splats, depths=jnp.where(which < self.by_distance, distances, depths))
 

@@ -26,19 +26,17 @@ from trial_parts import (
     LearnedSky,
     OpacityNoise,
     Rays,
-    Reordered,
     SecondOrder,
 )
 
 import splatax as sx
-from splatax import backends
-from splatax.backends.protocol import Kernels
 from splatax.cameras import Camera
 from splatax.dataset import Dataset, Pixels, View
 from splatax.evaluation import Scores, ViewScore, picture, score
 from splatax.gaussians import Gaussians
 from splatax.inspection.decisions import LUMINANCE, shades_at
 from splatax.metrics import to_8bit
+from splatax.order import Order
 from splatax.rendering import Renderer
 from splatax.sky import Sky
 from splatax.training import loop
@@ -113,24 +111,18 @@ def far_pulls(depth: float) -> Trial:
     return trial
 
 
-def reordered(by_distance: float, tilt: float = 0.0) -> Kernels:
-    """Returns kernels that draw by distance with this probability, else by depth; see `Reordered`."""
-    usual = backends.resolve("auto")
-    return replace(usual, name=f"{usual.name} reordered", project=Reordered(usual.project, by_distance, tilt))
-
-
-def ordered(by_distance: float, tilt: float = 0.0, *, drawn_by_distance: bool) -> Trial:
+def ordered(by_depth: float | None, drawn: Order) -> Trial:
     """Returns the trial of splats in another order.
 
     Args:
-        by_distance: probability that a step of training draws by distance, and not by depth.
-        tilt: see `Reordered`; of the steps that draw by depth.
-        drawn_by_distance: whether the pictures that are scored are drawn by distance.
+        by_depth: probability that a step draws by depth; None for a scene whose own order is that by depth.
+        drawn: the order of the pictures that are scored.
     """
 
     def trial(dataset: Dataset, recipe: Recipe) -> Trained:
-        trained = plain(dataset, recipe.on(reordered(by_distance, tilt)))
-        return replace(trained, renderer=Renderer(backend=reordered(float(drawn_by_distance))))
+        drawing = recipe.drawing.in_order("distance" if by_depth is not None else "depth")
+        trained = plain(dataset, replace(recipe, drawing=replace(drawing, by_depth=by_depth or 0.0)))
+        return replace(trained, scene=replace(trained.scene, order=drawn))
 
     return trial
 
@@ -268,13 +260,13 @@ TRIALS: dict[str, Trial] = {
     "opacity noise 0.5": of(lambda r: with_noise(r, 0.5)),
     "squares below 0.02": of(lambda r: with_loss(r, Huber(0.02))),
     "squares below 0.06": of(lambda r: with_loss(r, Huber(0.06))),
-    "by distance": ordered(1, drawn_by_distance=True),
-    "by distance: drawn by depth": ordered(1, drawn_by_distance=False),
-    "by depth: drawn by distance": ordered(0, drawn_by_distance=True),
-    "either order": ordered(0.5, drawn_by_distance=False),
-    "either order: drawn by distance": ordered(0.5, drawn_by_distance=True),
-    "tilted by up to 0.5": ordered(0, 0.5, drawn_by_distance=False),
-    "tilted by up to 1": ordered(0, 1.0, drawn_by_distance=False),
+    "by depth": ordered(None, "depth"),
+    "by depth: drawn by distance": ordered(None, "distance"),
+    "by distance": ordered(0, "distance"),
+    "by distance: drawn by depth": ordered(0, "depth"),
+    "default: drawn by depth": ordered(0.5, "depth"),
+    "a quarter by depth": ordered(0.25, "distance"),
+    "a quarter by depth: drawn by depth": ordered(0.25, "depth"),
     "pulls from 0.2": far_pulls(0.2),
     "pulls from 0.37": far_pulls(0.37),
     "pulls from 0.7": far_pulls(0.7),

@@ -10,12 +10,9 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
-from splatax.backends.protocol import Project
 from splatax.cameras import Camera
-from splatax.footprints import EWA, Method
 from splatax.gaussians import Gaussians
 from splatax.losses import ssim
-from splatax.low_pass import LowPass
 from splatax.math import quaternions
 from splatax.outputs import over
 from splatax.pipeline import composite
@@ -82,40 +79,6 @@ class OpacityNoise:
     def reborn(self, gaussians: Gaussians, state: Any, given: Any) -> Gaussians:
         """Returns what the strategy does."""
         return self.strategy.reborn(gaussians, state, given)
-
-
-@dataclass(frozen=True)
-class Reordered:
-    """A projection whose splats are drawn in another order than that of their depths.
-
-    At each step, the order is chosen at random: that of the distances from the camera, or that of the depths
-    along a tilted direction. The random numbers come from the bits of the splats' positions. The numbers to
-    sort by replace the depths and have no gradient, so only colours can be drawn.
-
-    Attributes:
-        project: finds the splats.
-        by_distance: the probability of the order by distance.
-        tilt: tangent of the largest angle between the direction and the camera's; 0 for the usual depth.
-    """
-
-    project: Project
-    by_distance: float
-    tilt: float = 0.0
-
-    def __call__(
-        self, gaussians: Gaussians, camera: Camera, low_pass: LowPass, method: Method = EWA
-    ) -> Splats:
-        """Projects all Gaussians to one view."""
-        splats = self.project(gaussians, camera, low_pass, method)
-        bits = jax.lax.bitcast_convert_type(jax.lax.stop_gradient(splats.means2d), jnp.uint32)
-        which, length, turn = jax.random.uniform(jax.random.key(jnp.sum(bits, dtype=jnp.uint32)), (3,))
-        right, down, ahead = jax.lax.stop_gradient(camera.rotation)
-        aside = jnp.cos(2 * jnp.pi * turn) * right + jnp.sin(2 * jnp.pi * turn) * down
-        direction = ahead + self.tilt * jnp.sqrt(length) * aside
-        offsets = jax.lax.stop_gradient(gaussians.means - camera.position[None])
-        distances = jnp.linalg.norm(offsets, axis=1)
-        depths = jnp.maximum(offsets @ direction, 1e-6)
-        return replace(splats, depths=jnp.where(which < self.by_distance, distances, depths))
 
 
 @dataclass(frozen=True)
@@ -286,9 +249,9 @@ class SecondOrder(OneView):
 def _second_order(
     state: TrainState, batch: Batch, openings: Array, recipe: Recipe, rule: SecondOrder
 ) -> tuple[TrainState, Float[Array, ""]]:
-    background_key, sign_key = jax.random.split(jax.random.fold_in(state.key, state.step))
-    background = recipe.drawing.background.sample(background_key)
-    found = compare(state, batch, recipe, background)
+    drawing_key, sign_key = jax.random.split(jax.random.fold_in(state.key, state.step))
+    background, _ = recipe.drawing.sample(drawing_key)
+    found = compare(state, batch, recipe, drawing_key)
     kernels, progress = recipe.drawing.kernels, state.step / state.total
     scene, adam = state.gaussians, state.opt_state[0]
     living = jnp.sum(scene.opacity_logits > -jnp.inf)

@@ -7,11 +7,11 @@ from splatax.digests import contents, digest, file_digest
 from splatax.low_pass import Antialiasing
 
 
-def test_scenes_that_differ_in_their_filter_only_have_different_digests():
+def test_scenes_that_differ_only_in_how_they_are_drawn_have_different_digests():
     scene = random_gaussians(n=3)
-    other = replace(scene, low_pass=Antialiasing())
     assert digest(*contents(scene)) == digest(*contents(replace(scene)))
-    assert digest(*contents(scene)) != digest(*contents(other))
+    for other in (replace(scene, low_pass=Antialiasing()), replace(scene, order="distance")):
+        assert digest(*contents(scene)) != digest(*contents(other))
 
 
 def test_a_file_has_the_digest_of_its_bytes(tmp_path):

@@ -10,7 +10,19 @@ import splatax
 
 ROOT = Path(splatax.__file__).parent
 LAYERS = (  # lowest first; a package stands for all its modules
-    {"ahead", "digests", "math", "errors", "packages", "pytrees", "shapes", "splits", "varying", "low_pass"},
+    {
+        "ahead",
+        "digests",
+        "math",
+        "errors",
+        "packages",
+        "pytrees",
+        "shapes",
+        "splits",
+        "varying",
+        "low_pass",
+        "order",
+    },
     {"gaussians", "splats", "cameras", "dataset", "resampling", "scene", "transforms", "moving"},
     {"footprints", "projection", "along_rays", "surfaces", "sky", "losses", "metrics", "lpips", "io"},
     {"backends"},

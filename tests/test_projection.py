@@ -10,6 +10,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scenes import camera_at, random_gaussians
+from splatax.cameras.lenses import Orthographic
 from splatax.low_pass import AlongRays, Antialiasing, Dilation
 from splatax.math import quaternions
 from splatax.rendering import project, render
@@ -129,6 +130,58 @@ def test_a_scene_is_drawn_with_the_filter_that_it_was_trained_with():
     assert_array_equal(value, own_value)
     assert_array_equal(gradient.means, own_gradient.means)
     assert float(value) != float(light(plain)[0])
+
+
+def beside_the_picture():
+    """A red Gaussian in the middle, and a green one from beside the picture over it: nearer by depth only."""
+    both = [
+        one_gaussian(log_scales=jnp.full((1, 3), jnp.log(0.3)), opacity_logits=jnp.full(1, 6.0)),
+        one_gaussian(
+            means=jnp.array([[3.0, 0.0, -1.0]]),
+            log_scales=jnp.log(jnp.array([[3.0, 1.0, 0.01]])),
+            opacity_logits=jnp.full(1, 6.0),
+            quats=jnp.array([[1.0, 0.0, 0.0, 0.0]]),
+            sh=jnp.array([[[-1.0, 1.0, -1.0]]]),
+        ),
+    ]
+    return jax.tree.map(lambda *rows: jnp.concatenate(rows), *both)
+
+
+def test_a_gaussian_beside_the_picture_that_is_farther_is_drawn_behind_by_distance_and_in_front_by_depth():
+    scene, camera = beside_the_picture(), camera_at()
+    splats = project(replace(scene, order="distance"), camera)
+    assert splats.depths[1] < splats.depths[0]
+    assert_allclose(splats.sort_keys, np.linalg.norm(np.asarray(scene.means) - [0, 0, -4], axis=1), rtol=1e-6)
+    depth, distance = (
+        render(replace(scene, order=order), camera).rgb[12, 16] for order in ("depth", "distance")
+    )
+    assert depth[1] > 0.5 > depth[0]
+    assert distance[0] > 0.5 > distance[1]
+
+
+def test_the_order_by_distance_stays_when_the_camera_turns():
+    scene = replace(random_gaussians(n=50), order="distance")
+    ahead, aside = (project(scene, camera_at(target=target)) for target in ((0, 0, 0), (1.5, -1.0, 0.0)))
+    assert_allclose(ahead.sort_keys, aside.sort_keys, rtol=2e-6)
+    assert np.any(np.argsort(ahead.depths) != np.argsort(aside.depths))
+
+
+def test_cameras_without_a_centre_draw_by_depth():
+    scene = replace(random_gaussians(n=5), order="distance")
+    assert project(scene, replace(camera_at(), lens=Orthographic())).sort_keys is None
+
+
+def test_an_order_that_is_none_is_refused():
+    with pytest.raises(ValueError, match=r"order of splats is 'far'\. Choose 'depth' or 'distance'"):
+        render(replace(random_gaussians(n=3), order="far"), camera_at())
+
+
+@pytest.mark.parametrize("place", [(jnp.nan, 0, 0), (jnp.inf, 0, 0), (1e30, -1e30, 1e30), (0, 0, -4.0)])
+def test_keys_and_gradients_of_the_order_by_distance_are_finite(place):
+    scene = replace(one_gaussian(means=jnp.array([place])), order="distance")
+    assert np.isfinite(project(scene, camera_at()).sort_keys).all()
+    gradient = jax.grad(lambda g, c: jnp.sum(render(g, c).rgb), (0, 1))(scene, camera_at())
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
 
 
 def test_colour_below_zero_is_clamped_and_has_no_gradient():

@@ -28,6 +28,7 @@ struct Options {
   float variance;
   int64_t fades;
   float least_fade;
+  int64_t by_distance;
 };
 
 // Checks the images of the views; returns height, width and number of channels.
@@ -51,13 +52,13 @@ SceneViews views_of(const ViewsArrays& arrays, const std::array<int64_t, 3>& siz
   const View settings{nullptr, LensKind::PINHOLE, 0, 0, options.variance, options.fades != 0, options.least_fade};
   return {gaussians,           arrays.cameras.typed_data(), arrays.frames.typed_data(), settings,
           static_cast<int>(w), static_cast<int>(h),         static_cast<int>(v),        static_cast<int>(c),
-          options.max_pairs};
+          options.max_pairs,   options.by_distance != 0};
 }
 
 ffi::Error scene_forward(ffi::ThreadPool threads, FloatArray means, FloatArray quats, FloatArray log_scales,
                          FloatArray opacity_logits, FloatArray sh, FloatArray cameras, FloatArray frames, FloatResult sums,
                          FloatResult alpha, int64_t thread_limit, int64_t max_pairs, float variance, int64_t fades,
-                         float least_fade) {
+                         float least_fade, int64_t by_distance) {
   const ViewsArrays arrays{{means, quats, log_scales, opacity_logits, sh}, cameras, frames};
   Checks checks;
   const auto scene = arrays.check(checks);
@@ -67,7 +68,7 @@ ffi::Error scene_forward(ffi::ThreadPool threads, FloatArray means, FloatArray q
   return guarded("scene_forward", [&] {
     Workers workers(threads, thread_limit);
     auto memory = memories.take();
-    draw_views(views_of(arrays, scene, image, {max_pairs, variance, fades, least_fade}),
+    draw_views(views_of(arrays, scene, image, {max_pairs, variance, fades, least_fade, by_distance}),
                {sums->typed_data(), alpha->typed_data()}, workers, *memory);
     memories.give_back(std::move(memory));
   });
@@ -77,7 +78,8 @@ ffi::Error scene_backward(ffi::ThreadPool threads, FloatArray means, FloatArray 
                           FloatArray opacity_logits, FloatArray sh, FloatArray cameras, FloatArray frames, FloatArray sums,
                           FloatArray alpha, FloatArray d_sums, FloatArray d_alpha, FloatResult d_means, FloatResult d_quats,
                           FloatResult d_log_scales, FloatResult d_opacity_logits, FloatResult d_sh, FloatResult d_cameras,
-                          int64_t thread_limit, int64_t max_pairs, float variance, int64_t fades, float least_fade) {
+                          int64_t thread_limit, int64_t max_pairs, float variance, int64_t fades, float least_fade,
+                          int64_t by_distance) {
   const ViewsArrays arrays{{means, quats, log_scales, opacity_logits, sh}, cameras, frames};
   Checks checks;
   const auto scene = arrays.check(checks);
@@ -92,7 +94,7 @@ ffi::Error scene_backward(ffi::ThreadPool threads, FloatArray means, FloatArray 
   return guarded("scene_backward", [&] {
     Workers workers(threads, thread_limit);
     auto memory = memories.take();
-    draw_views_gradient(views_of(arrays, scene, image, {max_pairs, variance, fades, least_fade}),
+    draw_views_gradient(views_of(arrays, scene, image, {max_pairs, variance, fades, least_fade, by_distance}),
                         {sums.typed_data(), alpha.typed_data(), d_sums.typed_data(), d_alpha.typed_data()},
                         {d_means->typed_data(), d_quats->typed_data(), d_log_scales->typed_data(),
                          d_opacity_logits->typed_data(), d_sh->typed_data(), d_cameras->typed_data()},
@@ -108,7 +110,8 @@ auto with_options(Binding binding) {
       .template Attr<int64_t>("max_pairs")
       .template Attr<float>("variance")
       .template Attr<int64_t>("fades")
-      .template Attr<float>("least_fade");
+      .template Attr<float>("least_fade")
+      .template Attr<int64_t>("by_distance");
 }
 
 }  // namespace

@@ -22,8 +22,9 @@ Input input_of(const SceneViews& scene, Visible& visible) {
     }
     channels = widened;
   }
-  return {visible.means2d.get(),   visible.sqrt_conics.get(), visible.depths.get(),  visible.extents.get(),
-          visible.opacities.get(), channels,                  visible.count,         scene.channel_count,
+  const float* order = scene.by_distance ? visible.distances.get() : visible.depths.get();
+  return {visible.means2d.get(),   visible.sqrt_conics.get(), order,         visible.extents.get(),
+          visible.opacities.get(), channels,                  visible.count, scene.channel_count,
           scene.width,             scene.height};
 }
 

@@ -19,6 +19,7 @@ struct SceneViews {
   int width, height;     // of the images, pixels
   int views, channel_count;
   int64_t max_pairs;
+  bool by_distance;  // whether splats are drawn in the order of their distances, and not of their depths
 
   View view(int number) const {
     View result = settings;

@@ -1,6 +1,7 @@
 #include "visible.h"
 
 #include <algorithm>
+#include <cmath>
 
 #include "frustum.h"
 
@@ -8,6 +9,7 @@ namespace splatax {
 namespace {
 
 constexpr int TOGETHER = 256;  // rows that a thread projects at a time
+constexpr float FARTHEST = 1e36f;  // squared distance; farther means, and those that are no numbers, count as at it
 
 // Turns means into camera axes.
 class Axes {
@@ -75,6 +77,7 @@ void Visible::make_room(int rows_at_most) {
   means2d.at_least(2 * most);
   sqrt_conics.at_least(3 * most);
   depths.at_least(most);
+  distances.at_least(most);
   extents.at_least(2 * most);
   colors.at_least(3 * most);
   opacities.at_least(most);
@@ -89,6 +92,12 @@ void Visible::project(const Gaussians& gaussians, const View& view, int begin, i
   for (int at = begin; at < end; at += LANES) {
     prefetch(gaussians, all + at + LANES, std::clamp(end - at - LANES, 0, LANES));
     project_rows(seen, view, splats, at, std::min(LANES, end - at));
+  }
+  for (int i = begin; i < end; ++i) {
+    const float* mean = gaussians.means + 3 * static_cast<size_t>(all[i]);
+    const float x = mean[0] - view.camera[POSITION], y = mean[1] - view.camera[POSITION + 1], z = mean[2] - view.camera[POSITION + 2];
+    const float squared = x * x + y * y + z * z;
+    distances[i] = std::sqrt(squared < FARTHEST ? squared : FARTHEST);
   }
 }
 

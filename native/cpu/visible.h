@@ -31,7 +31,8 @@ struct Visible {
   int count = 0;
   Buffer<int32_t> rows;
   Buffer<float> means2d, sqrt_conics, depths, extents, colors, opacities;
-  Buffer<float> channels;  // colors and depths side by side
+  Buffer<float> distances;  // of the means from the camera
+  Buffer<float> channels;   // colors and depths side by side
 
   // Finds the rows whose sphere may reach into the image, and projects them.
   void collect(const Gaussians& gaussians, const Bounds& bounds, const View& view, Workers& workers);

@@ -232,7 +232,8 @@ class Dataset:
         """
         if self.block is None:
             return gaussians
-        return joined([gaussians, replace(self.block.context, low_pass=gaussians.low_pass)])
+        drawn_alike = replace(self.block.context, low_pass=gaussians.low_pass, order=gaussians.order)
+        return joined([gaussians, drawn_alike])
 
 
 def hold_out(views: Sequence[View], rule: HoldOut = Every()) -> tuple[tuple[View, ...], tuple[View, ...]]:

@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from splatax.low_pass import Dilation, LowPass
 from splatax.math import ellipsoids, harmonics
+from splatax.order import Order, check_order, common
 from splatax.pytrees import pytree
 from splatax.shapes import check_arrays
 
@@ -33,6 +34,7 @@ class Gaussians:
         sh: spherical harmonic coefficients of colour, k = (degree + 1)^2 per channel.
         low_pass: filter that the scene was trained with, and is drawn with unless another is asked for.
             Static under `jit`.
+        order: order that the scene was trained in, and is drawn in. Static under `jit`.
     """
 
     means: Float[Array, "n 3"]
@@ -41,6 +43,7 @@ class Gaussians:
     opacity_logits: Float[Array, " n"]
     sh: Float[Array, "n k 3"]
     low_pass: LowPass = field(default=Dilation(), kw_only=True, metadata={"static": True})
+    order: Order = field(default="depth", kw_only=True, metadata={"static": True})
 
     def __len__(self) -> int:
         return self.means.shape[0]
@@ -74,8 +77,10 @@ def checked(gaussians: Gaussians) -> Gaussians:
     need not be finite.
 
     Raises:
-        ValueError: if a shape or dtype is wrong, or no SH degree from 0 to 4 has this many coefficients.
+        ValueError: if a shape or dtype is wrong, no SH degree from 0 to 4 has this many coefficients, or the
+            order is unknown.
     """
+    check_order(gaussians.order)
     sizes = check_arrays(
         "Gaussians",
         {
@@ -93,11 +98,13 @@ def checked(gaussians: Gaussians) -> Gaussians:
 def joined(scenes: Sequence[Gaussians]) -> Gaussians:
     """Returns the rows of scenes that share one low-pass filter, one scene after another.
 
-    Harmonics that only some of them have become zeros in the others.
+    Harmonics that only some of them have become zeros in the others. The order is the one that they have in
+    common, see `order.common`.
     """
+    order = common(scene.order for scene in scenes)
     most = max(scene.sh.shape[1] for scene in scenes)
     padded = [
-        replace(scene, sh=jnp.pad(scene.sh, ((0, 0), (0, most - scene.sh.shape[1]), (0, 0))))
+        replace(scene, sh=jnp.pad(scene.sh, ((0, 0), (0, most - scene.sh.shape[1]), (0, 0))), order=order)
         for scene in scenes
     ]
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *padded)

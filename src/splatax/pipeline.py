@@ -13,6 +13,7 @@ from splatax.cameras import Camera
 from splatax.footprints import EWA, Method
 from splatax.gaussians import Gaussians
 from splatax.low_pass import AlongRays, LowPass
+from splatax.projection import in_order
 from splatax.scene import Drawable, seen
 from splatax.shapes import check_dtypes
 from splatax.splats import Splats
@@ -51,8 +52,10 @@ def _projected(
 ) -> Splats:
     """Projects Gaussians. Those that are drawn along rays are projected in the same way for all backends."""
     if isinstance(low_pass, AlongRays):
-        return along_rays.project(gaussians, camera, low_pass, method)
-    return kernels.project(gaussians, camera, low_pass, method)
+        splats = along_rays.project(gaussians, camera, low_pass, method)
+    else:
+        splats = kernels.project(gaussians, camera, low_pass, method)
+    return in_order(splats, gaussians, camera)
 
 
 def draw(
@@ -120,7 +123,7 @@ def select(splats: Splats, count: int, kernels: Kernels) -> Selection:
 def _select(splats: Splats, count: int, kernels: Kernels) -> Selection:
     (splats,) = vary_together(splats)
     n = splats.means2d.shape[0]
-    found = kernels.select(views.unrolled(splats, splats.colors)[0], count)
+    found = kernels.select(views.unrolled(views.for_kernels(splats), splats.colors)[0], count)
     if splats.period is None:
         return found
 
@@ -149,4 +152,4 @@ def composite(
 @partial(jax.jit, static_argnames="kernels")
 def _composite(splats: Splats, channels: Float[Array, "n c"], kernels: Kernels):
     splats, channels = vary_together(splats, channels)
-    return kernels.composite(*views.unrolled(splats, channels))
+    return kernels.composite(*views.unrolled(views.for_kernels(splats), channels))

@@ -7,6 +7,7 @@ transform. The code keeps the 2 x 3 factor J W R S instead of Sigma: see `math.e
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
@@ -21,6 +22,7 @@ from splatax.math import ellipsoids, harmonics
 from splatax.splats import MIN_ALPHA, Splats
 
 MAX_LOG_SCALE = 40.0  # e^40 squared still fits float32
+FARTHEST = 1e18  # so does its square
 
 
 class Projected(NamedTuple):
@@ -75,6 +77,19 @@ def splats_of(rows: Projected, camera: Camera) -> Splats:
         height=camera.height,
         period=period_of(camera),
     )
+
+
+def in_order(splats: Splats, gaussians: Gaussians, camera: Camera) -> Splats:
+    """Returns the splats of Gaussians, to be drawn in their order.
+
+    Distances are those from the camera in the middle of the exposure. A camera without a centre, such as an
+    orthographic one, keeps the order by depth.
+    """
+    if gaussians.order == "depth" or not camera.lens.CENTRAL:
+        return splats
+    offsets = jax.lax.stop_gradient(gaussians.means - camera.position[None])
+    x, y, z = jnp.clip(jnp.where(jnp.isfinite(offsets), offsets, 0), -FARTHEST, FARTHEST).T
+    return replace(splats, sort_keys=jnp.sqrt(x * x + y * y + z * z))
 
 
 class Placed(NamedTuple):

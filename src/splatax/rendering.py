@@ -274,9 +274,10 @@ def _blended(
     sizes = painted.sizes if parts is not None and painted.sizes is not None else ()
     together = painted is view and (sizes or counts) and max(counts, default=0) == 0
     if stacked is not None and together and len(view.splats.depths):
-        survey = kernels.in_one_walk(view.splats, stacked.shape[1] - len(sizes), len(sizes))
+        splats = views.for_kernels(view.splats)
+        survey = kernels.in_one_walk(splats, stacked.shape[1] - len(sizes), len(sizes))
         if survey is not None:
-            blended, alpha, median = survey(view.splats, stacked, sizes)
+            blended, alpha, median = survey(splats, stacked, sizes)
             none = jnp.zeros((*median.shape, 0))
             found = Selection(none.astype(jnp.int32), none.astype(blended.dtype), median)
             return dict(zip(channels, jnp.split(blended, widths[:-1], axis=2), strict=True)), alpha, found

@@ -39,8 +39,7 @@ class Splats:
     Attributes:
         means2d: centres, x right, y down, pixels.
         sqrt_conics: triangular square root of the inverse covariance, 1 / pixels.
-        depths: depth by the lens (camera z, unless it maps angles), world units; nearest is drawn first, ties
-            in their order here.
+        depths: depth by the lens (camera z, unless it maps angles), world units.
         extents: half width and height, pixels, of the box outside which alpha is 0. Zero means
             culled: not drawn, with a zero gradient.
         colors: display-referred RGB, at least 0.
@@ -54,6 +53,8 @@ class Splats:
         slants: None, or how the plane of each splat lies in perspective. The relative change of its inverse
             depth with the pixel, 1 / pixels; three numbers of its thickness, 0 for a disc, 1 / pixels^2; and
             the inverse variance of the blur, 1 / pixels^2, which has no gradient.
+        sort_keys: None, or numbers without a gradient by which splats are drawn, such as distances; None for
+            the depths. The least is drawn first, ties in their order here.
     """
 
     means2d: Float[Array, "n 2"]
@@ -67,6 +68,7 @@ class Splats:
     pull: Float[Array, "n 2"] | None = None
     period: Float[Array, ""] | None = None
     slants: Float[Array, "n 6"] | None = None
+    sort_keys: Float[Array, " n"] | None = None
 
 
 def checked(splats: Splats, channels: Float[Array, "n c"] | None = None) -> Splats:
@@ -91,6 +93,8 @@ def checked(splats: Splats, channels: Float[Array, "n c"] | None = None) -> Spla
         arrays["period"] = (splats.period, "")
     if splats.slants is not None:
         arrays["slants"] = (splats.slants, "n 6")
+    if splats.sort_keys is not None:
+        arrays["sort_keys"] = (splats.sort_keys, "n")
     if channels is not None:
         arrays["channels"] = (channels, "n c")
     check_arrays("Splats", arrays)
@@ -101,7 +105,7 @@ def checked(splats: Splats, channels: Float[Array, "n c"] | None = None) -> Spla
 def joined(views: Sequence[Splats]) -> Splats:
     """Returns the splats of several scenes in one view, one scene after another.
 
-    The views must have one size and one period. The result is drawn in the order of its depths.
+    The views must have one size and one period, and all or none of them sort keys.
     """
     first, period = views[0], views[0].period
     if any(splats.slants is not None for splats in views):
@@ -111,6 +115,13 @@ def joined(views: Sequence[Splats]) -> Splats:
         first if len(views) == 1 else jax.tree.map(lambda *arrays: jnp.concatenate(arrays), *rows),
         period=period,
     )
+
+
+def for_kernels(splats: Splats) -> Splats:
+    """Returns splats as kernels take them, which draw by depths and do not read sort keys."""
+    if splats.sort_keys is None:
+        return splats
+    return replace(splats, depths=jax.lax.stop_gradient(splats.sort_keys), sort_keys=None)
 
 
 def slants_of(splats: Splats) -> Float[Array, "n 6"]:

@@ -78,7 +78,7 @@ def composite(
 ) -> tuple[Float[Array, "h w c"], Float[Array, "h w"]]:
     """Blends any per-splat channels front to back into every pixel.
 
-    Differentiable in means2d, sqrt_conics, opacities, slants and channels. The order of depths is not
+    Differentiable in means2d, sqrt_conics, opacities, slants and channels. The order of the splats is not
     differentiable; to render depth, pass it as a channel. Splats with `pull` get its gradient too.
 
     Args:

@@ -1,5 +1,6 @@
 """Batches of views of one scene on the CPU: one native call, which draws what kernels for one view draw."""
 
+import re
 from dataclasses import replace
 
 import jax
@@ -71,16 +72,29 @@ def symbols(monkeypatch):
 
 
 @pytest.mark.parametrize("low_pass", [Dilation(), Antialiasing()])
-def test_a_batch_of_views_is_the_views_one_by_one(low_pass):
-    together = jax.vmap(lambda camera: one(SCENE, camera, low_pass=low_pass))(STACKED)
+@pytest.mark.parametrize("order", ["depth", "distance"])
+def test_a_batch_of_views_is_the_views_one_by_one(low_pass, order):
+    scene = replace(SCENE, order=order)
+    together = jax.vmap(lambda camera: one(scene, camera, low_pass=low_pass))(STACKED)
     for i, camera in enumerate(CAMERAS):
-        for batch, single in zip(together, one(SCENE, camera, low_pass=low_pass), strict=True):
+        for batch, single in zip(together, one(scene, camera, low_pass=low_pass), strict=True):
             assert_allclose(batch[i], single, atol=2e-6 * max(float(np.abs(single).max()), 1))
 
 
-def test_a_batch_and_its_gradient_are_one_native_call_each(symbols):
-    jax.jit(lambda cameras: jax.grad(total)(SCENE, cameras)).lower(STACKED)
-    assert symbols == ["scene_forward", "scene_backward"]
+def test_the_order_of_a_batch_changes_its_images_and_gradients():
+    far = replace(SCENE, order="distance")
+    near = jax.grad(total)(SCENE, STACKED)
+    found = jax.grad(total)(far, STACKED)
+    assert_close(found, jax.grad(summed)(far, STACKED), 1e-4)
+    assert np.abs(found.sh - near.sh).max() > 1e-3
+
+
+def test_a_batch_and_its_gradient_are_one_native_call_each():
+    program = jax.jit(lambda cameras: jax.grad(total)(SCENE, cameras)).lower(STACKED).compile().as_text()
+    assert re.findall(r'custom_call_target="\w*(scene_[a-z]+)', program) == [
+        "scene_forward",
+        "scene_backward",
+    ]
 
 
 def test_a_batch_of_colours_blends_no_depths(symbols):

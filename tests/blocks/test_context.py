@@ -66,20 +66,24 @@ def recipe(steps=4, build=classic, **options):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("low_pass", "surfaces"), [(None, True), (AlongRays(), False)])
-def test_gradients_in_context_are_those_of_the_whole_scene(low_pass, surfaces):
+@pytest.mark.parametrize(
+    ("low_pass", "surfaces", "by_depth"), [(None, True, None), (AlongRays(), False, 0.0), (None, False, 1.0)]
+)
+def test_gradients_in_context_are_those_of_the_whole_scene(low_pass, surfaces, by_depth):
     """The context is a part of the scene whose own gradients nobody asks for."""
     how = recipe().on(backends.resolve("auto"))
+    if by_depth is not None:
+        how = replace(how, drawing=replace(how.drawing, order="distance", by_depth=by_depth))
     if low_pass:
         how = replace(how, drawing=replace(how.drawing, low_pass=low_pass))
     if surfaces:
         how = replace(how, objective=replace(how.objective, geometry=Surfaces(consistency=0.1)))
     photo = jnp.asarray(np.random.default_rng(3).integers(0, 255, (24, 32, 3), np.uint8))
-    batch, behind = Batch(camera_at(0.2), photo), jnp.zeros(3)
+    batch, key = Batch(camera_at(0.2), photo), jax.random.key(0)
     state = first_state(OWN, how, 2.0, 4)
     whole = first_state(joined([OWN, AROUND]), how, 2.0, 4)
-    found = compare(state, replace(batch, context=AROUND), how, behind)
-    expected = compare(whole, batch, how, behind)
+    found = compare(state, replace(batch, context=AROUND), how, key)
+    expected = compare(whole, batch, how, key)
     np.testing.assert_allclose(found.loss, expected.loss, rtol=1e-6)
     assert len(found.shown.splats.depths) == len(OWN), "density control must not see the context"
     (d_own, _), (d_whole, _) = (each.pull_back(each.d_shown) for each in (found, expected))
@@ -106,10 +110,12 @@ def test_a_prior_is_a_mean_over_the_gaussians_of_the_whole_scene(views):
 
 
 @pytest.mark.parametrize("views", [1, 2])
-def test_photos_that_the_context_explains_leave_no_loss(views):
-    losses = {}
+@pytest.mark.parametrize("order", ["depth", "distance"])
+def test_photos_that_the_context_explains_leave_no_loss(views, order):
+    losses, how = {}, recipe(views=views)
+    how = replace(how, drawing=replace(how.drawing, order=order, by_depth=1.0))  # as the photos are drawn
     for name, around in (("with", AROUND), ("without", jax.tree.map(lambda leaf: leaf[:1], AROUND))):
-        run = optimize(capture(block=Block(OWN, around)), recipe(views=views))
+        run = optimize(capture(block=Block(OWN, around)), how)
         losses[name] = float(next(run).loss)
     assert losses["with"] < 0.005 < 0.05 < losses["without"]
 

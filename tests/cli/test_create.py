@@ -198,6 +198,7 @@ EXAMPLES = {  # of options of `train`; a new option needs one
     "sky": True,
     "background": "white",
     "low_pass": "antialiasing",
+    "order": "depth",
     "appearance": "exposure",
     "refine": "poses",
     "adjust_cameras": "poses",

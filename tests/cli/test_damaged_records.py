@@ -70,7 +70,7 @@ def test_a_config_with_senseless_options_is_refused(damage, run, trained, captur
 
 def test_a_config_of_another_program_tells_nothing_and_is_no_damage(run):
     (run / "config.json").write_text('{"sh_degree": 3}')
-    assert read_model(run, None).options == {}
+    assert read_model(run).options == {}
 
 
 @pytest.mark.parametrize(

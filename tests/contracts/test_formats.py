@@ -169,6 +169,18 @@ def test_a_scene_is_loaded_with_the_filter_that_it_was_saved_with(tmp_path, suff
             sx.save(path, given)
 
 
+@pytest.mark.parametrize("order", sx.order.ORDERS)
+def test_a_scene_is_loaded_with_the_order_that_it_was_saved_with(tmp_path, suffix, order):
+    path, given = tmp_path / f"scene{suffix}", replace(scene(n=3), order=order)
+    if order == "depth" or formats.FORMATS[suffix].KEPT_MARKS == MARKS:
+        sx.save(path, given)
+        assert sx.load(path).order == order
+    else:
+        with pytest.warns(UserWarning, match="the scene was trained in the order of distances"):
+            sx.save(path, given)
+        assert sx.load(path).order == "depth"
+
+
 def test_a_variance_that_is_none_is_refused(tmp_path):
     path = tmp_path / "scene.ply"
     sx.save(path, replace(scene(n=3), low_pass=sx.Antialiasing(0.1)))

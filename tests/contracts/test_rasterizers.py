@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scenes import BLUE, GREEN, RED, at, random_splats, splats
 from splatax import backends
 from splatax.backends.protocol import Kernels
-from splatax.rendering import composite
+from splatax.rendering import composite, rasterize, select
 
 
 def draw(scene, backend):
@@ -103,6 +103,31 @@ def test_alpha_below_one_8_bit_level_is_not_drawn(backend, opacity, drawn):
     scene = splats(at(opacity=opacity))
     scene = replace(scene, extents=jnp.ones_like(scene.extents))  # the rule must not rest on culling
     assert_allclose(draw(scene, backend)[1], drawn, rtol=1e-6, atol=6e-8)  # 1 - (1 - alpha) rounds
+
+
+def test_sort_keys_are_the_order_and_depths_stay_what_they_are(backend):
+    scene = random_splats(n=60, size=(24, 20))
+    keys = jnp.asarray(np.random.default_rng(5).permutation(60) + 1.0, jnp.float32)
+    keyed, resorted = replace(scene, sort_keys=keys), replace(scene, depths=keys)
+    channels = jnp.concatenate([scene.colors, scene.depths[:, None]], axis=1)
+    assert_array_equal(draw(keyed, backend)[0], draw(resorted, backend)[0])
+    assert np.abs(draw(keyed, backend)[0] - draw(scene, backend)[0]).max() > 0.01
+    cotangents = random_cotangents(scene, 4)
+    found, expected = (gradients(each, channels, cotangents, backend) for each in (keyed, resorted))
+    for name, value in expected.items():
+        assert_array_equal(found[name], value)
+    for found, expected in zip(
+        select(keyed, 3, backend=backend), select(resorted, 3, backend=backend), strict=True
+    ):
+        assert_array_equal(found, expected)
+    blended, depths = (
+        rasterize(each, outputs=("depth",), features=features, backend=backend)
+        for each, features in ((keyed, {}), (resorted, {"depth": scene.depths[:, None]}))
+    )
+    alpha = draw(keyed, backend)[1]
+    assert_allclose(
+        blended.depth, depths.features["depth"][..., 0] / jnp.where(alpha > 0, alpha, 1), rtol=1e-5, atol=1e-5
+    )
 
 
 def test_near_splat_hides_far_one_whatever_their_order_in_memory(backend):

@@ -109,6 +109,13 @@ def test_scenes_of_different_filters_are_not_merged():
         editing.merge([plain, replace(plain, low_pass=sx.Antialiasing())])
 
 
+def test_merged_scenes_are_drawn_by_distance_if_all_of_them_are():
+    plain = random_gaussians(n=5)
+    far = replace(plain, order="distance")
+    assert editing.merge([far, far]).order == "distance"
+    assert editing.merge([far, plain]).order == "depth"
+
+
 def test_merged_scenes_have_all_gaussians_and_the_most_harmonics():
     a, b = random_gaussians(n=5, degree=0), random_gaussians(1, n=7, degree=2)
     merged = editing.merge([a, b])

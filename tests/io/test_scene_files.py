@@ -161,11 +161,12 @@ def test_variants_that_cannot_be_are_refused_with_the_file(tmp_path, change):
         load_variants(tmp_path / "car.glb")
 
 
-def test_the_filter_comes_back_and_two_filters_are_refused(tmp_path):
-    smooth = sx.Part(replace(WHEEL, low_pass=sx.Antialiasing()))
+def test_filter_and_order_come_back_and_two_filters_are_refused(tmp_path):
+    smooth = sx.Part(replace(WHEEL, low_pass=sx.Antialiasing(), order="distance"))
     path = tmp_path / "smooth.glb"
     sx.save_scene(path, sx.Scene({"wheel": smooth}))
     assert sx.load_scene(path)["wheel"].gaussians.low_pass == sx.Antialiasing()
+    assert sx.load_scene(path)["wheel"].gaussians.order == "distance"
     with pytest.raises(sx.FormatError, match="one low-pass filter"):
         sx.save_scene(path, sx.Scene({"wheel": smooth, "body": sx.Part(BODY)}))
 

@@ -229,7 +229,7 @@ def test_a_rigged_file_is_also_a_splat_file_in_the_bound_pose(rigged_file):
     np.testing.assert_array_equal(flat.means, rigged.means)
 
 
-def test_a_rigged_file_keeps_the_filter_of_its_scene_and_leaves_out_broken_gaussians(tmp_path):
+def test_a_rigged_file_keeps_how_its_scene_is_drawn_and_leaves_out_broken_gaussians(tmp_path):
     gaussians, rig = blended(n=6)
     logits = gaussians.opacity_logits.at[2].set(-jnp.inf)
     broken = replace(
@@ -237,12 +237,14 @@ def test_a_rigged_file_keeps_the_filter_of_its_scene_and_leaves_out_broken_gauss
         means=gaussians.means.at[4].set(jnp.nan),
         opacity_logits=logits,
         low_pass=sx.Antialiasing(),
+        order="distance",
     )
     with pytest.warns(UserWarning, match="left out 1 Gaussians"):
         save_rigged(tmp_path / "a.glb", RiggedScene(broken, rig))
     again, kept = load_rigged(tmp_path / "a.glb"), np.array([0, 1, 3, 5])
     assert again.gaussians.low_pass == sx.Antialiasing()
     assert sx.load(tmp_path / "a.glb").low_pass == sx.Antialiasing()
+    assert again.gaussians.order == sx.load(tmp_path / "a.glb").order == "distance"
     np.testing.assert_array_equal(again.gaussians.means, gaussians.means[kept])
     np.testing.assert_allclose(
         np.max(again.rig.weights, axis=1), np.max(rig.weights[kept], axis=1), atol=1e-6

@@ -94,6 +94,19 @@ def test_parts_of_different_filters_are_drawn_and_not_baked():
         scene.flattened()
 
 
+def test_parts_are_drawn_by_distance_if_all_of_them_are():
+    far = replace(CLOUD, order="distance")
+    moved = Similarity.of(move=(0.5, 0.0, 0.0), scale=0.5)
+    for other, order in ((far, "distance"), (CLOUD, "depth")):
+        scene = sx.Scene({"a": sx.Part(far), "b": sx.Part(other, moved)})
+        assert scene.flattened().order == order
+        drawn, flat = (sx.render(each, camera_at()).rgb for each in (scene, scene.flattened()))
+        assert_allclose(drawn, flat, atol=2e-6)
+    keys = sx.project(sx.Scene({"a": sx.Part(far), "b": sx.Part(far, moved)}), camera_at()).sort_keys
+    places = np.concatenate([CLOUD.means, moved.transform(CLOUD).means])
+    assert_allclose(keys, np.linalg.norm(places - [0, 0, -4], axis=1), rtol=1e-5)
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [

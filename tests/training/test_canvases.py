@@ -237,7 +237,7 @@ def test_a_step_on_a_canvas_is_the_step_on_the_photo(lens, masked, geometry):
         frame = PhotoCache([view], np.inf, canvases).frame(0, 1)
         seen = batch(*frame, next(iter(batches([view], 0))).source, 1, np.asarray(TRUTH.means))
         assert seen.photo.shape[:2] == ((32, 40) if canvases is None else CANVAS[::-1])
-        compared = compare(state, seen, recipe, jnp.array([0.2, 0.4, 0.6]))
+        compared = compare(state, seen, recipe, jax.random.key(0))
         observed = filling(compared.shown.splats, compared.d_shown.splats, seen.camera.frame)
         density = Classic().observe(Classic().init(len(TRUTH)), *observed)
         found.append((compared.loss, compared.pull_back(compared.d_shown)[0], density))

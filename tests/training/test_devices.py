@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
@@ -226,7 +225,7 @@ def test_a_step_on_several_views_follows_the_mean_of_their_gradients():
     state = first_state(start, recipe, 1.0, 4)
     gradients = []
     for view in dataset.train:
-        found = compare(state, batch(view.camera, view.pixels(), None, FIRST, 1), recipe, jnp.zeros(3))
+        found = compare(state, batch(view.camera, view.pixels(), None, FIRST, 1), recipe, jax.random.key(0))
         gradients.append(found.pull_back(found.d_shown)[0])
     mean = jax.tree.map(lambda *leaves: sum(leaves) / 4, *gradients)
     (progress,) = sx.optimize(dataset, recipe)

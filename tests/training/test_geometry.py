@@ -139,7 +139,7 @@ def test_a_step_adds_the_penalty_and_its_gradient_to_those_of_the_photo():
 
         @jax.jit
         def compared(state):
-            found = compare(state, batch, chosen, jnp.zeros(3))
+            found = compare(state, batch, chosen, jax.random.key(0))
             return found.loss, found.pull_back(found.d_shown)[0]
 
         return compared(state)
@@ -168,7 +168,9 @@ def test_without_regularizers_only_colours_are_drawn():
         kernels = replace(portable, name=f"counting {geometry}", composite=composite)
         recipe = replace(RECIPE.on(kernels), objective=Objective(geometry=geometry))
         state = first_state(recipe.initialization(dataset, 1, 0), recipe, 1.0, 5)
-        jax.eval_shape(lambda state, recipe=recipe: compare(state, batch, recipe, jnp.zeros(3))[0], state)
+        jax.eval_shape(
+            lambda state, recipe=recipe: compare(state, batch, recipe, jax.random.key(0))[0], state
+        )
     assert sorted(set(widths)) == [3, 9, 12]
 
 

@@ -11,9 +11,10 @@ import pytest
 
 import splatax as sx
 from splatax.training import protocols
+from splatax.training.drawing import Drawing
 from splatax.training.optimizer import LearningRates, Optimizer
 from splatax.training.protocols import DensityPlan
-from splatax.training.recipes import Drawing, Objective, ShSchedule
+from splatax.training.recipes import Objective, ShSchedule
 from training.test_training import capture, run
 
 

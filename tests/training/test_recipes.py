@@ -11,9 +11,10 @@ from test_training import capture, run
 import splatax as sx
 from scenes import camera_at
 from splatax.demo.capture import write_capture
-from splatax.training.density import Classic
+from splatax.training.density import Classic, NoDensityControl
+from splatax.training.drawing import Drawing
 from splatax.training.optimizer import LearningRates, rates_for
-from splatax.training.recipes import PRESETS, Drawing, ShSchedule, room_for, steps_for
+from splatax.training.recipes import PRESETS, ShSchedule, room_for, steps_for
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -24,9 +25,29 @@ def test_a_recipe_is_a_value(name):
     assert PRESETS[name].build(steps=700).steps == 700
 
 
-def test_a_trained_scene_knows_its_filter():
-    recipe = sx.Recipe(steps=1, drawing=Drawing(low_pass=sx.Antialiasing()))
-    assert sx.fit(capture(), recipe).low_pass == sx.Antialiasing()
+def test_a_trained_scene_knows_its_filter_and_its_order():
+    recipe = sx.Recipe(steps=1, drawing=Drawing(low_pass=sx.Antialiasing(), order="distance"))
+    scene = sx.fit(capture(), recipe)
+    assert scene.low_pass == sx.Antialiasing()
+    assert scene.order == "distance"
+
+
+@pytest.mark.parametrize("views", [1, 2])
+def test_steps_that_draw_by_depth_follow_the_scene_by_depth(views):
+    """With probability 1 a scene by distance is trained as one by depth; with 0 it is not."""
+    usual = sx.Recipe(steps=3, views=views, density=NoDensityControl())
+    drawings = (Drawing(), Drawing(order="distance", by_depth=1.0), Drawing(order="distance"))
+    depth, always, never = (sx.fit(capture(), replace(usual, drawing=drawing)) for drawing in drawings)
+    assert_array_equal(depth.means, always.means)
+    assert np.abs(depth.means - never.means).max() > 1e-5
+
+
+def test_half_of_the_steps_of_default_draw_by_depth():
+    drawing = PRESETS["default"].build(steps=100).drawing
+    keys = jax.random.split(jax.random.key(1), 400)
+    _, by_depth = jax.vmap(drawing.sample)(keys)
+    assert abs(float(by_depth.mean()) - drawing.by_depth) < 0.08
+    assert drawing.in_order("depth").sample(keys[0])[1] is None
 
 
 @pytest.mark.parametrize("name", PRESETS)

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from itertools import islice
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -50,7 +51,7 @@ def test_the_low_pass_filter_is_of_pixels_of_the_whole_photo():
             state,
             Batch(view.camera, photo, divisor=divisor),
             recipe.on(backends.resolve("auto")),
-            jnp.zeros(3),
+            jax.random.key(0),
         )[0]
         for divisor, recipe in ((1, RECIPE), (2, replace(RECIPE, drawing=wider)), (2, RECIPE))
     ]

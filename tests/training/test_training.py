@@ -14,12 +14,13 @@ from splatax.errors import DatasetError
 from splatax.evaluation import photo_of, picture
 from splatax.training.backgrounds import BACKGROUNDS, Solid
 from splatax.training.density import Classic, NoDensityControl
+from splatax.training.drawing import Drawing
 from splatax.training.feed import Batch
 from splatax.training.initialize import FromPoints, InFrusta, focus_distance
 from splatax.training.loop import first_state
 from splatax.training.optimizer import LearningRates, without_locked_bands
 from splatax.training.priors import NoPrior
-from splatax.training.recipes import PRESETS, Drawing, ShSchedule, default
+from splatax.training.recipes import PRESETS, ShSchedule, default
 from splatax.training.step import _train_step, compare, photo_over, train_step
 
 SIZE = (40, 32)
@@ -258,7 +259,7 @@ def test_a_step_refuses_a_recipe_that_names_its_backend():
         train_step(state, batch, named)
     assert np.isfinite(state.gaussians.means).all(), "the state was not donated"
     with pytest.raises(ValueError, match=told):  # nor does traced code look the name up
-        jax.eval_shape(lambda state: compare(state, batch, named, jnp.zeros(3)).loss, state)
+        jax.eval_shape(lambda state: compare(state, batch, named, jax.random.key(0)).loss, state)
 
 
 def test_a_photo_that_is_not_of_its_cameras_size_is_refused():

@@ -26,10 +26,11 @@ def test_tuning_regains_what_simplifying_lost_and_keeps_number_and_original():
     assert (np.asarray(few.means) == before).all()  # not donated to the first step
 
 
-def test_tuning_keeps_harmonics_and_filter_of_the_scene():
+def test_tuning_keeps_harmonics_filter_and_order_of_the_scene():
     dataset = sx.demo_dataset(photos=2, width=48, height=36)
     scene = default(steps=10).initialization(dataset, 1, 0)
-    filtered = replace(scene, low_pass=sx.Antialiasing())
+    filtered = replace(scene, low_pass=sx.Antialiasing(), order="distance")
     *_, last = tune(filtered, dataset, tuning(filtered, 3))
     assert last.gaussians.low_pass == sx.Antialiasing()
+    assert last.gaussians.order == "distance"
     assert last.gaussians.sh.shape[1] == 4

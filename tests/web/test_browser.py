@@ -48,6 +48,25 @@ def test_cameras_see_what_our_renderer_draws(open_page, tmp_path, viewer, low_pa
         assert psnr(shown, expected) > psnr(shown, wrong) + 3
 
 
+@pytest.mark.parametrize("order", ["depth", "distance"])
+def test_splats_are_sorted_as_the_scene_says(open_page, tmp_path, viewer, order):
+    """Large opaque Gaussians, seen at a wide angle: the two orders differ much."""
+    path, wide = tmp_path / "scene.html", camera_at((0.4, -0.6, -1.5), size=SIZE, focal=90.0)
+    scene = replace(random_gaussians(n=300, scale=(0.1, 0.4), spread=0.8), order=order)
+    scene = replace(scene, opacity_logits=scene.opacity_logits + 3)
+    web.save(path, scene, title="scene", cameras={"wide": wide})
+    tab = open_page(path, SIZE)
+    tab.settle()
+    tab.tell("viewer.show(0)")
+    tab.settle()
+    right, wrong = (
+        np.clip(sx.render(replace(scene, order=each), wide).rgb, 0, 1)
+        for each in sorted(("depth", "distance"), key=lambda each: each != order)
+    )
+    shown = picture(tab)
+    assert psnr(shown, right) > LIKE - 1 > psnr(shown, wrong) + 2
+
+
 def test_discs_are_shown_as_thin_ellipses(open_page, tmp_path, viewer):
     """The page cannot draw along rays: it leaves out the slant of each disc, and has another filter."""
     path, solid = tmp_path / "discs.html", random_gaussians(n=1500, scale=(0.01, 0.08), spread=0.7)

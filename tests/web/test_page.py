@@ -126,13 +126,18 @@ def test_discs_are_shown_as_thin_gaussians_with_a_small_dilation(tmp_path, stub)
     assert told["lowPass"] == {"dilation": 0.06, "antialiasing": 0}
 
 
-@pytest.mark.parametrize("low_pass", [sx.Dilation(0.2), sx.Antialiasing(0.4)])
-def test_it_tells_how_the_scene_was_trained(tmp_path, stub, low_pass):
-    scene = replace(SCENE, low_pass=low_pass)
-    text = write(tmp_path / "page.html", scene, title="page", background=(1.0, 0.5, 0.0))
+@pytest.mark.parametrize(
+    ("low_pass", "order"), [(sx.Dilation(0.2), "distance"), (sx.Antialiasing(0.4), "depth")]
+)
+def test_it_tells_how_the_scene_was_trained(tmp_path, stub, low_pass, order):
+    scene = replace(SCENE, low_pass=low_pass, order=order)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        text = write(tmp_path / "page.html", scene, title="page", background=(1.0, 0.5, 0.0))
     told = json.loads(re.search(r'id="page">(.*?)</script>', text)[1])
     kind = "dilation" if isinstance(low_pass, sx.Dilation) else "antialiasing"
     assert told["lowPass"] == {"dilation": 0, "antialiasing": 0} | {kind: low_pass.variance}
+    assert told["byDistance"] == (order == "distance")
     assert told["background"] == [1.0, 0.5, 0.0]
 
 

@@ -27,7 +27,7 @@ export class Stage {
   #filled = false; // whether the last frame has splats
   #began = 0;
 
-  constructor(canvas, { background, lowPass, near, motion }) {
+  constructor(canvas, { background, lowPass, byDistance, near, motion }) {
     this.near = near;
     this.motion = motion; // of the splats; null if they stay
     this.renderer = new WebGLRenderer({ canvas, antialias: false, powerPreference: 'high-performance' });
@@ -35,12 +35,12 @@ export class Stage {
     this.scene.background = new Color().setRGB(...background, SRGBColorSpace);
     this.camera = new PerspectiveCamera();
     this.camera.matrixWorldAutoUpdate = false;
-    // The same as in splatax: sorted by depth, footprints of any size down to 1/255, 32-bit positions.
+    // The same as in splatax: sorted by distance or depth, footprints of any size down to 1/255, 32-bit positions.
     this.spark = new SparkRenderer({
       renderer: this.renderer,
       preBlurAmount: lowPass.dilation,
       blurAmount: lowPass.antialiasing,
-      sortRadial: false,
+      sortRadial: byDistance,
       maxStdDev: Math.sqrt(2 * Math.log(255)),
       minAlpha: 1 / 255,
       maxPixelRadius: 1e4,

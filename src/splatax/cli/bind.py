@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from splatax.cli.options import LowPassOption, OverwriteFlag, read_model
+from splatax.cli.options import LowPassOption, OrderOption, OverwriteFlag, read_model
 from splatax.cli.output import say
 from splatax.cli.page import tell_losses
 from splatax.errors import InputError
@@ -32,6 +32,8 @@ class Bind:
     """The file to write: splats with a skin, the skeleton and its clips."""
     low_pass: LowPassOption = None
     """Anti-aliasing filter. By default the one that the file names."""
+    order: OrderOption = None
+    """Order in which splats are drawn. By default the one that the file names, else depth."""
     overwrite: OverwriteFlag = False
     """Replace the file if it exists."""
 
@@ -40,7 +42,7 @@ class Bind:
             raise InputError(f"{self.out}: rigged scenes are .glb files. Give the file such a name.")
         if self.out.exists() and not self.overwrite:
             raise InputError(f"{self.out}: exists. Choose another name, or replace it: --overwrite.")
-        model, body = read_model(self.model, self.low_pass), read_body(self.body)
+        model, body = read_model(self.model, self.low_pass, self.order), read_body(self.body)
         for note in body.notes:
             say(f"note    {note}")
         rig = bind(model.gaussians, body)

@@ -22,7 +22,7 @@ from splatax.cli.preparing import loaded, prepared
 from splatax.cli.settings import NAMES, Settings
 from splatax.cli.stages import Stages
 from splatax.cli.starting import with_background
-from splatax.cli.train_options import Count, Method, Photos
+from splatax.cli.train_options import Count, Drawing, Method, Photos
 from splatax.dataset import Dataset
 from splatax.errors import InputError
 from splatax.io.datasets.points import write_points
@@ -68,6 +68,7 @@ class PlanBlocks:
     all if there are fewer."""
     photos: Photos = Photos()
     method: Method = Method()
+    drawing: Drawing = Drawing()
     overwrite: OverwriteFlag = False
     """Replace an earlier plan in the folder. Blocks that were trained for it must be trained again."""
 
@@ -144,7 +145,7 @@ class PlanBlocks:
             InputError: if the run was interrupted.
         """
         if self.coarse:
-            return read_model(self.coarse, None).path.absolute()
+            return read_model(self.coarse).path.absolute()
         out, points = self.out / COARSE, settings.points
         if len(dataset.points) > work.gaussians:
             points = self.out.absolute() / POINTS

@@ -57,7 +57,7 @@ class Compare:
             raise InputError("compare: give the folders of two runs or more.")
         runs = read_runs(self.runs)
         check_comparable(runs, scene_given=self.scene is not None)
-        models = [read_model(run.folder, None) for run in runs]
+        models = [read_model(run.folder) for run in runs]
         views = [views_of(run, model, self.scene) for run, model in zip(runs, models, strict=True)]
         check_sizes(runs, views)
         out = self.out or self.runs[0].resolve().parent / "compare"

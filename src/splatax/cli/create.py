@@ -18,7 +18,7 @@ from splatax.cli.preparing import POINTS, found_points
 from splatax.cli.reconstruct import FindingCameras, Reconstruct
 from splatax.cli.settings import NAMES, Settings
 from splatax.cli.train import Train, limited
-from splatax.cli.train_options import Devices, Limits, Live, Method, Photos, Rerun, Saving
+from splatax.cli.train_options import Devices, Drawing, Limits, Live, Method, Photos, Rerun, Saving
 from splatax.dataset import Dataset, photos_in
 from splatax.errors import InputError
 from splatax.io.datasets import is_capture
@@ -61,6 +61,7 @@ class Create:
     limits: Limits = Limits()
     devices: Devices = Devices()
     method: Method = Method()
+    drawing: Drawing = Drawing()
     saving: Saving = Saving()
     live: Live = Live()
 
@@ -106,6 +107,7 @@ class Create:
             limits=self.limits,
             devices=self.devices,
             method=method,
+            drawing=self.drawing,
             saving=self.saving,
             live=self.live,
         )

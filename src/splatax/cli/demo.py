@@ -11,7 +11,7 @@ from splatax.cli.options import OverwriteFlag, shown_as
 from splatax.cli.output import say
 from splatax.cli.page import Page
 from splatax.cli.train import Train
-from splatax.cli.train_options import Limits, Method, Saving
+from splatax.cli.train_options import Drawing, Limits, Method, Saving
 from splatax.demo.capture import write_capture
 from splatax.demo.scene import SIZE
 from splatax.demo.scenes import DEFAULT, SCENES
@@ -55,7 +55,8 @@ class Demo:
             title=title,
             overwrite=True,
             limits=Limits(steps=self.steps),
-            method=Method(seed=self.seed, background=scene.background),
+            method=Method(seed=self.seed),
+            drawing=Drawing(background=scene.background),
             saving=Saving(eval_every=max(self.steps // 8, 1)),
         ).run()
         try:

@@ -16,6 +16,7 @@ from splatax.cli.options import (
     DownscaleOption,
     HoldOutOption,
     LowPassOption,
+    OrderOption,
     PathOption,
     Split,
     background_of,
@@ -68,12 +69,14 @@ class Evaluate:
     """Colour behind the scene. By default as in training, else black."""
     low_pass: LowPassOption = None
     """Anti-aliasing filter. By default the one that the file names."""
+    order: OrderOption = None
+    """Order in which splats are drawn. By default the one that the file names, else depth."""
     backend: BackendName = "auto"
     """Rendering backend. If the named one is unavailable, the command fails."""
 
     def run(self) -> None:
         perceptual = lpips.read(self.lpips) if self.lpips else None
-        model = read_model(self.model, self.low_pass)
+        model = read_model(self.model, self.low_pass, self.order)
         dataset = load_scene(self.scene, self.downscale, model, self.hold_out)
         trained_on = model.options.get("scene")
         if trained_on and Path(trained_on).name != self.scene.absolute().name:

@@ -149,7 +149,7 @@ class Export:
 
     def run(self) -> None:
         self._check()
-        model = read_model(self.model, None)
+        model = read_model(self.model)
         dataset = load_scene(self.scene, self.downscale, model) if self.scene else None
         edited = self._selected(model, dataset)
         if self.edit.sh_degree is not None:

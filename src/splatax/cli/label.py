@@ -67,7 +67,7 @@ class Label:
     def run(self) -> None:
         if self.out and self.out.suffix.lower() != ".glb":
             raise InputError(f"{self.out}: scenes of parts are kept in .glb files. Choose such a name.")
-        model = read_model(self.model, None)
+        model = read_model(self.model)
         out = self.out or model.path.parent / "parts.glb"
         if out.exists() and not self.overwrite:
             raise InputError(f"{out}: exists. Choose another name, or replace it: --overwrite.")

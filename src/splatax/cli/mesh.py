@@ -17,6 +17,7 @@ from splatax.cli.options import (
     BackgroundOption,
     DownscaleOption,
     LowPassOption,
+    OrderOption,
     OverwriteFlag,
     background_of,
     load_scene,
@@ -66,6 +67,8 @@ class Mesh:
     """Colour behind the scene. By default as in training, else black."""
     low_pass: LowPassOption = None
     """Anti-aliasing filter. By default the one that the file names."""
+    order: OrderOption = None
+    """Order in which splats are drawn. By default the one that the file names, else depth."""
     backend: BackendName = "auto"
     """Rendering backend. If the named one is unavailable, the command fails."""
     overwrite: OverwriteFlag = False
@@ -77,7 +80,7 @@ class Mesh:
         check(voxel, self.faces)
         if self.out.exists() and not self.overwrite:
             raise InputError(f"{self.out}: exists. Choose another name, or replace it: --overwrite.")
-        model = read_model(self.model, self.low_pass)
+        model = read_model(self.model, self.low_pass, self.order)
         scene = self.scene or scene_of(model)
         if scene is None:
             raise InputError(f"{self.model}: needs cameras: give the capture folder, --scene CAPTURE.")

@@ -55,7 +55,7 @@ class Metres:
 
     def run(self) -> None:
         self.check()
-        model = read_model(self.model, None)
+        model = read_model(self.model)
         out = self.output(model)
         scale, found = self._by_gps(model) if self.gps else self._by_length(model)
         save_with_scale(out, model, scale)

@@ -15,6 +15,7 @@ from splatax.cli.output import say
 from splatax.dataset import resplit
 from splatax.errors import InputError
 from splatax.low_pass import LOW_PASSES, low_pass_of
+from splatax.order import Order
 from splatax.reconstruction.calibration import ADJUSTMENTS
 from splatax.runs.cameras import with_cameras
 from splatax.runs.scene_files import scene_at
@@ -49,6 +50,7 @@ def shown_as(metavar: str | None = None) -> Any:
 OverwriteFlag = Annotated[bool, shown_as()]
 BackgroundOption = Annotated[BackgroundName | None, shown_as()]
 LowPassOption = Annotated[str | None, shown_as(f"{{{','.join(LOW_PASSES)}}}[:VARIANCE]")]
+OrderOption = Annotated[Order | None, shown_as()]
 DownscaleOption = Annotated[Downscale | None, shown_as("{auto,N}")]
 PathOption = Annotated[Path | None, shown_as("PATH")]
 FolderOption = Annotated[Path | None, shown_as("FOLDER")]
@@ -97,7 +99,7 @@ class Model:
     options: dict[str, Any]  # of the run that made it; empty if unknown
 
 
-def read_model(path: Path, low_pass: str | None) -> Model:
+def read_model(path: Path, low_pass: str | None = None, order: Order | None = None) -> Model:
     """Reads a splat file, or the scene in the folder of a run, and the options of the run.
 
     Runs are those of splatax, of INRIA's 3DGS and of gsplat; see `runs.scene_files`.
@@ -106,6 +108,7 @@ def read_model(path: Path, low_pass: str | None) -> Model:
         path: of the file or folder.
         low_pass: the filter to draw with, as the user types it, instead of the one that the file or the run
             names.
+        order: the order to draw in, instead of the one that the file names.
 
     Raises:
         InputError: if there is no model, it cannot be read, or it has no Gaussians.
@@ -118,6 +121,8 @@ def read_model(path: Path, low_pass: str | None) -> Model:
         raise InputError(f"{found.path}: a scene without Gaussians. Write it again, or choose another one.")
     if chosen := low_pass or found.low_pass:
         gaussians = replace(gaussians, low_pass=parsed("low_pass", chosen, low_pass_of))
+    if order:
+        gaussians = replace(gaussians, order=order)
     return Model(found.path, found.name, gaussians, found.options)
 
 

@@ -13,6 +13,7 @@ from splatax.cli.options import (
     BackgroundOption,
     LowPassOption,
     Model,
+    OrderOption,
     OverwriteFlag,
     TextOption,
     background_of,
@@ -47,6 +48,8 @@ class Page:
     """Colour behind the scene. By default as in training, else black."""
     low_pass: LowPassOption = None
     """Anti-aliasing filter. By default the one that the file names."""
+    order: OrderOption = None
+    """Order in which splats are drawn. By default the one that the file names, else depth."""
     lod_above: Annotated[int, shown_as("N")] = web.LOD_ABOVE
     """Number of Gaussians above which the page opens with a preview of the scene, then draws with level of
     detail. By default 300,000."""
@@ -58,7 +61,7 @@ class Page:
             raise InputError(f"{self.out}: browsers open .html files. Give the page such a name.")
         if self.out.exists() and not self.overwrite:
             raise InputError(f"{self.out}: exists. Choose another name, or replace it: --overwrite.")
-        model = read_model(self.model, self.low_pass)
+        model = read_model(self.model, self.low_pass, self.order)
         views = load_scene(self.scene, None, model).standpoints if self.scene else ()
         cameras = {view.photo: view.camera for view in views}
         write_page(self.out, model, cameras, self.title, self.background, self.lod_above)

@@ -20,6 +20,7 @@ from splatax.cli.options import (
     BackgroundOption,
     DownscaleOption,
     LowPassOption,
+    OrderOption,
     OverwriteFlag,
     Split,
     background_of,
@@ -71,6 +72,8 @@ class Render:
     """Colour behind the scene. By default as in training, else black."""
     low_pass: LowPassOption = None
     """Anti-aliasing filter. By default the one that the file names."""
+    order: OrderOption = None
+    """Order in which splats are drawn. By default the one that the file names, else depth."""
     backend: BackendName = "auto"
     """Rendering backend. If the named one is unavailable, the command fails."""
     overwrite: OverwriteFlag = False
@@ -79,7 +82,7 @@ class Render:
 
     def run(self) -> None:
         film = self.video.film(self.out)
-        model = read_model(self.model, self.low_pass)
+        model = read_model(self.model, self.low_pass, self.order)
         scene = self.scene or scene_of(model)
         dataset = load_scene(scene, self.downscale, model) if scene else None
         background = background_of(model.options, self.background)

@@ -6,7 +6,15 @@ from typing import Annotated
 
 import tyro
 
-from splatax.cli.options import BackgroundOption, LowPassOption, OverwriteFlag, flag, given, shown_as
+from splatax.cli.options import (
+    BackgroundOption,
+    LowPassOption,
+    OrderOption,
+    OverwriteFlag,
+    flag,
+    given,
+    shown_as,
+)
 from splatax.cli.rigging import COMMAND, NAMES, Refine, RigSettings, train_rig
 from splatax.cli.settings import as_started
 from splatax.cli.train_options import Count
@@ -63,6 +71,10 @@ class RigCommand:
     """Anti-aliasing filter. "dilation": as in 3DGS; "antialiasing": as in Mip-Splatting, keeps the brightness
     correct when zoomed out; "along-rays": exact in perspective, as in 2DGS. A number after a colon is its
     variance in square pixels. By default "dilation"."""
+    order: OrderOption = None
+    """Order in which splats are drawn. "distance": from the camera, which keeps large Gaussians beside the
+    picture from covering it; some steps draw by depth, so that viewers that know only that order can show the
+    scene. "depth": as in 3DGS. By default "distance"."""
     seed: Count = None
     """Random seed. By default 0."""
     resume: Annotated[Path | None, shown_as("RUN")] = None

@@ -23,6 +23,7 @@ from splatax.io.files import write_whole
 from splatax.io.rigs import read_body, save_rigged
 from splatax.io.rigs.poses import Posing, along_clip, read_poses, write_poses
 from splatax.low_pass import low_pass_of
+from splatax.order import Order
 from splatax.rendering import Color
 from splatax.report.rigged import posed_comparisons, rig_report, seen_by
 from splatax.runs.checkpoints import Checkpoints
@@ -64,6 +65,7 @@ class RigSettings:
     refine: Refine = "none"
     background: BackgroundName | None = None
     low_pass: str | None = None
+    order: Order | None = None
     seed: int = 0
     checkpoint_every: float = 120.0
     checkpoint_steps: int = 0
@@ -94,6 +96,8 @@ class RigSettings:
             drawing = replace(drawing, background=BACKGROUNDS[background])
         if self.low_pass:
             drawing = replace(drawing, low_pass=low_pass_of(self.low_pass))
+        if self.order:
+            drawing = drawing.in_order(self.order)
         return replace(recipe, drawing=drawing)
 
 

@@ -25,6 +25,7 @@ from splatax.dataset import photos_in
 from splatax.digests import file_digest
 from splatax.errors import InputError
 from splatax.low_pass import low_pass_of
+from splatax.order import Order
 from splatax.runs.budget import parse_bytes, parse_seconds
 from splatax.runs.records import typed_fields
 from splatax.splits import is_list, listed_in, parse_hold_out
@@ -35,7 +36,7 @@ from splatax.training.geometry import Surfaces
 from splatax.training.initialize import FromBlock, with_sky
 from splatax.training.photo_weights import PHOTO_WEIGHTS
 from splatax.training.protocols import Initialization
-from splatax.training.recipes import PRESETS, Drawing
+from splatax.training.recipes import PRESETS
 
 FEWEST_TO_WEIGH = 10  # training photos: of fewer, each shows something that no other does
 Kind = TypeVar("Kind")
@@ -74,6 +75,7 @@ class Settings:
     sky: bool = False
     background: BackgroundName | None = None
     low_pass: str | None = None
+    order: Order | None = None
     appearance: AppearanceName = "auto"
     refine: RefinementName = "none"
     adjust_cameras: AdjustmentName = "none"
@@ -154,7 +156,8 @@ class Settings:
             )
         weights = PHOTO_WEIGHTS[self.weighing(dataset)]
         recipe = replace(recipe, objective=replace(recipe.objective, weights=weights))
-        drawing = Drawing(
+        drawing = replace(
+            recipe.drawing.in_order(self.order or recipe.drawing.order),
             background=BACKGROUNDS[self.background] if self.background else recipe.drawing.background,
             low_pass=low_pass_of(self.low_pass) if self.low_pass else recipe.drawing.low_pass,
             backend=resolve_backend(self.backend),

@@ -14,7 +14,7 @@ from splatax.cli.options import flag, given, parsed, shown_as
 from splatax.cli.output import complain, say
 from splatax.cli.settings import NAMES, Settings, as_started
 from splatax.cli.starting import MAY_CHANGE, NewRun, RepeatedRun, ResumedRun, Run
-from splatax.cli.train_options import Devices, Limits, Live, Method, Photos, Rerun, Saving
+from splatax.cli.train_options import Devices, Drawing, Limits, Live, Method, Photos, Rerun, Saving
 from splatax.cli.training import train
 from splatax.errors import InputError
 from splatax.runs.budget import DEFAULT_BUDGET, parse_seconds
@@ -51,6 +51,7 @@ class Train:
     limits: Limits = Limits()
     devices: Devices = Devices()
     method: Method = Method()
+    drawing: Drawing = Drawing()
     saving: Saving = Saving()
     rerun: Rerun = Rerun()
     live: Live = Live()

@@ -15,6 +15,7 @@ from splatax.cli.options import (
     HoldOutOption,
     InitName,
     LowPassOption,
+    OrderOption,
     PhotoWeightsName,
     RecipeName,
     RefinementName,
@@ -119,14 +120,6 @@ class Method:
     sky: Annotated[bool, shown_as()] = False
     """Start with additional Gaussians on a sphere far behind the scene. Use it for open scenes: captures
     rarely have points in the sky. Off by default."""
-    background: Annotated[BackgroundName | None, shown_as()] = None
-    """Colour behind the scene and behind transparent photos. "random": a new colour every step, which
-    prevents haze; evaluation uses black. By default white for Blender's scenes, random for the recipe
-    "default", else black."""
-    low_pass: LowPassOption = None
-    """Anti-aliasing filter. "dilation": as in 3DGS; "antialiasing": as in Mip-Splatting, keeps the brightness
-    correct when zoomed out; "along-rays": exact in perspective, as in 2DGS. A number after a colon is its
-    variance in square pixels. By default "along-rays" for the recipe "2dgs", else "dilation"."""
     appearance: Annotated[AppearanceName | None, shown_as()] = None
     """Compensate for differences between photos. "exposure": learns an affine colour map for each training
     photo, for exposure and white balance. By default "auto": only if exposure differs much. Held-out photos
@@ -151,11 +144,29 @@ class Method:
     """Fraction of the run after which the penalties of --geometry begin. With 0.4, the two
     captures that were measured lost at most 0.3 dB, with depths that are a little less accurate. Training
     takes as long as with --geometry alone. By default 0."""
+    seed: Count = None
+    """Random seed. Runs with the same seed, machine and options produce identical scenes. By default 0."""
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """Drawing of the scene, in training and afterwards."""
+
+    background: Annotated[BackgroundName | None, shown_as()] = None
+    """Colour behind the scene and behind transparent photos. "random": a new colour every step, which
+    prevents haze; evaluation uses black. By default white for Blender's scenes, random for the recipe
+    "default", else black."""
+    low_pass: LowPassOption = None
+    """Anti-aliasing filter. "dilation": as in 3DGS; "antialiasing": as in Mip-Splatting, keeps the brightness
+    correct when zoomed out; "along-rays": exact in perspective, as in 2DGS. A number after a colon is its
+    variance in square pixels. By default "along-rays" for the recipe "2dgs", else "dilation"."""
+    order: OrderOption = None
+    """Order in which splats are drawn. "distance": from the camera, which keeps large Gaussians beside the
+    picture from covering it; some steps draw by depth, so that viewers that know only that order can show the
+    scene. "depth": as in 3DGS. By default "distance" for the recipe "default", else "depth"."""
     backend: Annotated[BackendName | None, shown_as()] = None
     """Rendering backend. If the named one is unavailable, the command fails instead of falling back. By
     default "auto": the fastest one available."""
-    seed: Count = None
-    """Random seed. Runs with the same seed, machine and options produce identical scenes. By default 0."""
 
 
 @dataclass(frozen=True)

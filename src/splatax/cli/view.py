@@ -17,6 +17,7 @@ from splatax.cli.options import (
     BackendName,
     BackgroundOption,
     LowPassOption,
+    OrderOption,
     background_of,
     load_scene,
     read_model,
@@ -54,11 +55,13 @@ class View:
     """Colour behind the scene. By default as in training, else black."""
     low_pass: LowPassOption = None
     """Anti-aliasing filter. By default the one that the file names."""
+    order: OrderOption = None
+    """Order in which splats are drawn. By default the one that the file names, else depth."""
     backend: BackendName = "auto"
     """Rendering backend. If the named one is unavailable, the command fails."""
 
     def run(self) -> None:
-        model = read_model(self.model, self.low_pass)
+        model = read_model(self.model, self.low_pass, self.order)
         scene = self.scene or scene_of(model)
         views = load_scene(scene, None, model).views if scene else ()
         background = background_of(model.options, self.background)

@@ -21,6 +21,7 @@ from splatax.io.formats.glb_scene import ORIGINAL, VISIBILITY, Glb, Placed
 from splatax.io.formats.marks import is_mark, marked, marks_of
 from splatax.io.formats.untrusted import structured
 from splatax.io.variants import listed, map_of, numbers_of, variants_of
+from splatax.order import common
 from splatax.scene import Part, Scene, Variants, chosen
 from splatax.scene.variants import check_variants
 from splatax.transforms import Similarity, half_turn
@@ -184,7 +185,8 @@ def written(path: Path, scene: Scene, variants: Variants, comments: tuple[str, .
                 "color": numbers_of(own.color),
             }
     kept = {"variants": listed(variants)} if variants else {}
-    lines = (*marks_of(filters.pop()), *(line for line in comments if not is_mark(line)))
+    order = common(part.gaussians.order for part in scene.parts.values())
+    lines = (*marks_of(filters.pop(), order), *(line for line in comments if not is_mark(line)))
     return Written(nodes, meshes, lines, kept)
 
 

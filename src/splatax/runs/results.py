@@ -1,7 +1,7 @@
 """The files that a run writes: scene.ply, metrics.json, config.json, and the pages of reports."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -81,7 +81,7 @@ class Results:
         """The scene, without empty slots."""
         state = self.last
         gaussians = jax.tree.map(lambda leaf: jnp.array(leaf[: state.count]), state.train.gaussians)
-        return replace(gaussians, low_pass=self.recipe.drawing.low_pass)
+        return self.recipe.drawing.of(gaussians)
 
     @cached_property
     def shown(self) -> Gaussians:

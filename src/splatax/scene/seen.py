@@ -13,6 +13,7 @@ from jaxtyping import Array
 from splatax import gaussians as clouds
 from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
+from splatax.order import common
 from splatax.scene.colors import ColorMap
 from splatax.scene.parts import Part, Scene, masked
 from splatax.shapes import check_arrays, check_kind
@@ -88,12 +89,14 @@ def sizes_of(scene: Drawable) -> tuple[int, ...]:
 def seen_from(scene: Drawable, camera: Camera) -> list[tuple[Gaussians, Camera]]:
     """Returns the Gaussians of each part and the camera that sees them as `camera` sees the part.
 
-    The Gaussians are in world units, so depths, and the distance at which they are culled, are those of the
-    world.
+    Parts that were trained in different orders get the one that they have in common. The Gaussians are in
+    world units, so depths, and the distance at which they are culled, are those of the world.
     """
     if isinstance(scene, Gaussians):
         return [(scene, camera)]
-    return [_seen(part, camera) for part in scene.parts.values()]
+    order = common(part.gaussians.order for part in scene.parts.values())
+    seen = [_seen(part, camera) for part in scene.parts.values()]
+    return [(replace(gaussians, order=order), own) for gaussians, own in seen]
 
 
 @jax.default_matmul_precision("highest")

@@ -3,7 +3,7 @@
 See `splatax.training.views`.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray, UInt8
 from splatax.cameras import Camera
 from splatax.gaussians import Gaussians
 from splatax.pytrees import pytree
-from splatax.splats import Splats
+from splatax.splats import Splats, for_kernels
 from splatax.training.devices import BLOCK, from_all_views, own_views, sum_in_order
 from splatax.training.protocols import Source
 from splatax.training.recipes import Recipe
@@ -75,36 +75,43 @@ def compare_views(
         state: own rows.
         views: of the step.
         recipe: the settings.
-        key: of the backgrounds.
+        key: of the backgrounds and the orders.
         packed: whether only splats that views show are sent.
     """
     count = views.source.view.shape[0]
     corrections = _for_photos(recipe.camera_refinement, state.cameras, views.source)
-    show = partial(_shown, views=views, recipe=recipe, extent=state.extent)
+    backgrounds, by_depth = jax.vmap(recipe.drawing.sample)(jax.random.split(key, count))
+    show = partial(_shown, views=views, by_depth=by_depth, recipe=recipe, extent=state.extent)
     view, pull_back = jax.vjp(show, state.gaussians, _for_each_block(corrections, state.gaussians))
 
     corrected = jax.vmap(recipe.camera_refinement, in_axes=(0, 0, None))
     cameras = corrected(corrections, views.camera, state.extent)
     appearances = _for_photos(recipe.appearance, state.appearance, views.source)
-    backgrounds = jax.vmap(recipe.drawing.background.sample)(jax.random.split(key, count))
     weight = partial(recipe.objective.weights.of_photo, state.weights, progress=state.step / state.total)
     weights = jax.vmap(lambda photo: jnp.float32(1) * weight(photo))(views.source.view)
-    appearances, backgrounds, cameras, weights = jax.tree.map(
-        own_views, (appearances, backgrounds, cameras, weights)
+    appearances, backgrounds, own_by_depth, cameras, weights = jax.tree.map(
+        own_views, (appearances, backgrounds, by_depth, cameras, weights)
     )
 
     def draw(here):
-        view, appearance, target = here
-        target = target._replace(context=surroundings(views.context, target.camera, recipe, views.divisor))
+        view, appearance, target, by_depth = here
+        context = surroundings(views.context, target.camera, recipe, views.divisor, by_depth)
+        target = target._replace(context=context)
         return jax.value_and_grad(weighted_loss, argnums=(0, 1), has_aux=True)(
             view, appearance, target, recipe
         )
 
+    sorted_view = view._replace(splats=for_kernels(view.splats))  # drawers need one number to sort by
     travel = travel_of(view.splats.extents) if packed else None
     progress = jnp.full(views.photo.shape[0], state.step / state.total)
     targets = Target(views.photo, views.mask, views.landmarks, backgrounds, cameras, progress, weights)
-    (_, losses), (d_arrived, d_appearances) = lax.map(draw, (to_drawers(view, travel), appearances, targets))
+    (_, losses), (d_arrived, d_appearances) = lax.map(
+        draw, (to_drawers(sorted_view, travel), appearances, targets, own_by_depth)
+    )
     d_view = to_owners(d_arrived, travel)
+    if view.splats.sort_keys is not None:
+        keys = jnp.zeros_like(view.splats.sort_keys)
+        d_view = d_view._replace(splats=replace(d_view.splats, sort_keys=keys))
     d_gaussians, d_corrections = pull_back(jax.tree.map(lambda leaf: leaf / count, d_view))
     losses, d_appearances = jax.tree.map(from_all_views, (losses, d_appearances))
     d_corrections = jax.tree.map(sum_in_order, d_corrections)
@@ -130,18 +137,18 @@ def _shown(
     corrections: Any,
     *,
     views: Views,
+    by_depth: Bool[Array, " k"] | None,
     recipe: Recipe,
     extent: Float[Array, ""],
 ) -> Shown:
     """Projects own rows into every view; every array of the result has a first axis of views."""
 
     def seen(gaussians: Gaussians, corrections: Any) -> Shown:
-        def one(correction, camera):
-            return shown(
-                gaussians, recipe.camera_refinement(correction, camera, extent), recipe, views.divisor
-            )
+        def one(correction, camera, by_depth):
+            corrected = recipe.camera_refinement(correction, camera, extent)
+            return shown(gaussians, corrected, recipe, views.divisor, by_depth)
 
-        return jax.vmap(one)(corrections, views.camera)
+        return jax.vmap(one)(corrections, views.camera, by_depth)
 
     # Kernels compute each row alone, but what JAX computes is rounded differently in arrays of other lengths.
     if not jax.tree.leaves(corrections) and not recipe.objective.geometry.outputs:

@@ -180,7 +180,8 @@ class FromBlock:
                 "Reduce those of the scene first (splatax.editing.reduce_degree, or splatax export)."
             )
         more = harmonics.count(sh_degree) - start.sh.shape[1]
-        return replace(start, sh=jnp.pad(start.sh, ((0, 0), (0, more), (0, 0))), low_pass=Gaussians.low_pass)
+        padded = jnp.pad(start.sh, ((0, 0), (0, more), (0, 0)))
+        return replace(start, sh=padded, low_pass=Gaussians.low_pass, order=Gaussians.order)
 
 
 def with_sky(start: Initialization) -> Initialization:

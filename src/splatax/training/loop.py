@@ -14,9 +14,9 @@ from splatax import backends
 from splatax.dataset import Dataset
 from splatax.errors import DatasetError
 from splatax.gaussians import Gaussians
-from splatax.low_pass import LowPass
 from splatax.shapes import check_kind
 from splatax.training.capacity import bucket_for, pad, without_broken
+from splatax.training.drawing import Drawing
 from splatax.training.feed import rows_for
 from splatax.training.fingerprints import facts_of
 from splatax.training.initialize import require_visible
@@ -58,7 +58,7 @@ class Progress:
     _state: TrainState
     _rows: int  # of the scene, with its empty slots
     _stepper: Stepper
-    _low_pass: LowPass
+    _drawing: Drawing
 
     @property
     def state(self) -> RunState:
@@ -86,7 +86,7 @@ class Progress:
         rarely.
         """
         gaussians = jax.tree.map(jnp.asarray, self._stepper.in_order(self._state.gaussians, self._rows))
-        return replace(gaussians, low_pass=self._low_pass)
+        return self._drawing.of(gaussians)
 
 
 def fit(dataset: Dataset, recipe: Recipe) -> Gaussians:
@@ -202,7 +202,7 @@ def _steps(
         if refinement := schedule.refinement(step, recipe.density):
             due = Due(refinement, dataset.extent, jax.random.fold_in(refine_key, step))
             state, rows, count = _refined(state, rows, count, due, recipe, stepper)
-        yield Progress(step, total, loss, count, state, rows, stepper, recipe.drawing.low_pass)
+        yield Progress(step, total, loss, count, state, rows, stepper, recipe.drawing)
         planned = pace(step)
         if planned is not None:
             total = schedule.total = planned

@@ -10,14 +10,15 @@ from jaxtyping import Float
 from splatax.backends.protocol import Kernels
 from splatax.dataset import Dataset, photos_in
 from splatax.losses import Photometric
-from splatax.low_pass import AlongRays, Dilation, LowPass
+from splatax.low_pass import AlongRays
 from splatax.math.harmonics import MAX_DEGREE
 from splatax.rendering import Renderer
 from splatax.training.appearance import NoAppearance
-from splatax.training.backgrounds import Random, Solid
+from splatax.training.backgrounds import Random
 from splatax.training.camera_refinement import FixedCameras
 from splatax.training.density import ByStep, Classic, Mcmc, Splitting
 from splatax.training.disc_geometry import DiscGeometry
+from splatax.training.drawing import Drawing as Drawing
 from splatax.training.geometry import NoGeometry
 from splatax.training.initialize import Discs, FromPoints, InFrusta
 from splatax.training.noise import Langevin
@@ -26,7 +27,6 @@ from splatax.training.photo_weights import EqualWeights
 from splatax.training.priors import NoPrior, Sparsity, opacity_penalty
 from splatax.training.protocols import (
     Appearance,
-    Background,
     CameraRefinement,
     DensityStrategy,
     Geometry,
@@ -63,35 +63,6 @@ class Objective:
     prior: Prior = NoPrior()
     geometry: Geometry = NoGeometry()
     weights: PhotoWeights = EqualWeights()
-
-
-@dataclass(frozen=True)
-class Drawing:
-    """The way in which steps draw the scene that they compare with photos.
-
-    Attributes:
-        background: the colour behind the scene, and behind transparent photos.
-        low_pass: the filter.
-        backend: "auto" or the name of a backend, which a trainer looks up before its first step; or kernels.
-    """
-
-    background: Background = Solid()
-    low_pass: LowPass = Dilation()
-    backend: str | Kernels = "auto"
-
-    @property
-    def kernels(self) -> Kernels:
-        """The kernels. Steps take them from here, so that traced code cannot look a backend up.
-
-        Raises:
-            ValueError: if the backend is still a name.
-        """
-        if isinstance(self.backend, Kernels):
-            return self.backend
-        raise ValueError(
-            f"the recipe names the backend {self.backend!r}, but a step needs its kernels: look them up "
-            f"once, recipe.on(splatax.backends.resolve({self.backend!r}))."
-        )
 
 
 @dataclass(frozen=True)
@@ -207,7 +178,7 @@ def default(steps: int = 30_000, max_gaussians: int = 1_000_000, views: int = 1)
         ),
         resolution=Resolution(((steps // COARSE, 2),), smallest=100),
         sh=ShSchedule(every=max(steps // 20, 1)),
-        drawing=Drawing(background=Random()),
+        drawing=Drawing(background=Random()).in_order("distance"),
     )
     return with_views(recipe, views)
 
@@ -217,14 +188,14 @@ def discs(steps: int = 30_000, max_gaussians: int = 1_000_000, views: int = 1) -
 
     The Gaussians are exactly flat and drawn along rays. Their initial size is the distance to their
     neighbours, and their size is not penalized: one below the blur of a pixel gets no gradient that would let
-    it grow again.
+    it grow again. They are drawn in the order of depths.
     """
     recipe = default(steps, max_gaussians, views)
     return replace(
         recipe,
         initialization=Discs(FromPoints(opacity=0.5)),
         objective=replace(recipe.objective, prior=Sparsity(scale=0.0), geometry=DiscGeometry()),
-        drawing=replace(recipe.drawing, low_pass=AlongRays()),
+        drawing=replace(recipe.drawing.in_order("depth"), low_pass=AlongRays()),
     )
 
 

@@ -16,11 +16,11 @@ from splatax import backends
 from splatax.dataset import Dataset
 from splatax.errors import DatasetError
 from splatax.gaussians import Gaussians
-from splatax.low_pass import LowPass
 from splatax.math import harmonics
 from splatax.scene.skeleton import Pose, spun
 from splatax.scene.skin import Rig
 from splatax.training.capacity import bucket_for, pad, without_broken
+from splatax.training.drawing import Drawing
 from splatax.training.feed import batches
 from splatax.training.recipes import Recipe, ShSchedule, default
 from splatax.training.refining import Due, Kept, on_one_device, parents_of, planned, rows_after
@@ -62,7 +62,7 @@ class RigProgress:
     run: RigRun
     _poses: Pose
     _names: tuple[str, ...]
-    _low_pass: LowPass
+    _drawing: Drawing
 
     @property
     def count(self) -> int:
@@ -73,7 +73,7 @@ class RigProgress:
     def gaussians(self) -> Gaussians:
         """A copy of the Gaussians in the bound pose."""
         gaussians = jax.tree.map(lambda leaf: jnp.array(leaf[: self.count]), self.run.train.gaussians)
-        return replace(gaussians, low_pass=self._low_pass)
+        return self._drawing.of(gaussians)
 
     @property
     def rig(self) -> Rig:
@@ -146,7 +146,7 @@ def optimize_rig(
         if refinement := schedule.refinement(step, recipe.density):
             state, count = _refined(state, count, refinement, dataset.extent, recipe, refine_key)
         now = RigRun(state, count, run.rig)
-        yield RigProgress(step, loss, now, stacked, names, recipe.drawing.low_pass)
+        yield RigProgress(step, loss, now, stacked, names, recipe.drawing)
         if step >= recipe.steps:
             return
 
@@ -154,7 +154,7 @@ def optimize_rig(
 def result_of(run: RigRun, recipe: Recipe, poses: Mapping[str, Pose], loss: float) -> RigProgress:
     """Returns the result of a run that was saved after its last step, whose loss is given."""
     last = jnp.float32(loss)
-    return RigProgress(int(run.train.step), last, run, _stacked(poses), tuple(poses), recipe.drawing.low_pass)
+    return RigProgress(int(run.train.step), last, run, _stacked(poses), tuple(poses), recipe.drawing)
 
 
 def state_shapes(rows: int, rig: Rig, recipe: Recipe, poses: int) -> RigState:

@@ -17,6 +17,7 @@ from splatax.scene.skeleton import Pose, spun
 from splatax.scene.skin import Rig, skin
 from splatax.training import per_photo
 from splatax.training.camera_refinement import FINAL_RATE
+from splatax.training.drawing import reordered
 from splatax.training.feed import Batch
 from splatax.training.moving import Pace, Rows, moved
 from splatax.training.per_photo import PerPhoto
@@ -97,8 +98,8 @@ def rig_step(
     state: RigState, batch: Batch, settings: Fixed, recipe: Recipe, learned: Learned
 ) -> tuple[RigState, Float[Array, ""]]:
     """Makes one step with one photo, and returns the state and the loss."""
-    background_key, noise_key = jax.random.split(jax.random.fold_in(settings.key, state.step))
-    background = recipe.drawing.background.sample(background_key)
+    drawing_key, noise_key = jax.random.split(jax.random.fold_in(settings.key, state.step))
+    background, by_depth = recipe.drawing.sample(drawing_key)
     kernels = recipe.drawing.kernels
     photo = photo_over(batch.photo, background)
     pose = settings.which[batch.source.view]
@@ -108,7 +109,8 @@ def rig_step(
         rig = replace(settings.rig, indices=state.indices, weights=jax.nn.softmax(logits, axis=1))
         given = jax.tree.map(lambda leaf: leaf[pose], settings.poses)
         joints = rig.skeleton.worlds(spun(given, turns.reshape(-1, 3)))
-        splats = pipeline.project(skin(gaussians, rig, joints), batch.camera, low_pass, kernels)
+        posed = replace(skin(gaussians, rig, joints), order=recipe.drawing.order)
+        splats = reordered(pipeline.project(posed, batch.camera, low_pass, kernels), by_depth)
         return recipe.density.watch(splats)
 
     def image_loss(splats):

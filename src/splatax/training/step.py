@@ -18,9 +18,10 @@ from splatax.gaussians import Gaussians
 from splatax.low_pass import LowPass
 from splatax.outputs import over
 from splatax.pytrees import pytree
-from splatax.splats import Splats, joined
+from splatax.splats import Splats, for_kernels, joined
 from splatax.training import geometry
 from splatax.training.canvases import filling, on_canvas
+from splatax.training.drawing import ByDepth, reordered
 from splatax.training.feed import Batch
 from splatax.training.moving import Pace, Rows, by_view, moved
 from splatax.training.objectives import TrainingView
@@ -91,8 +92,8 @@ def _train_step(
     openings: Float[Array, " bands"],
     recipe: Recipe,
 ) -> tuple[TrainState, Float[Array, ""]]:
-    background_key, noise_key = jax.random.split(jax.random.fold_in(state.key, state.step))
-    found = compare(state, batch, recipe, recipe.drawing.background.sample(background_key))
+    drawing_key, noise_key = jax.random.split(jax.random.fold_in(state.key, state.step))
+    found = compare(state, batch, recipe, drawing_key)
 
     good = jnp.isfinite(found.loss)  # if not, nothing moves
     progress = state.step / state.total
@@ -174,14 +175,15 @@ class Compared(NamedTuple):
     pull_camera: Callable[[Camera], Any]  # from the camera to the photo's camera parameters
 
 
-def compare(state: TrainState, batch: Batch, recipe: Recipe, background: Float[Array, "3"]) -> Compared:
+def compare(state: TrainState, batch: Batch, recipe: Recipe, key: PRNGKeyArray) -> Compared:
     """Draws a view, compares it with its photo, and finds the gradient of the loss in its splats."""
+    background, by_depth = recipe.drawing.sample(key)
 
     def corrected(correction):
         return recipe.camera_refinement(correction, batch.camera, state.extent)
 
     def project_view(gaussians, correction):
-        return shown(gaussians, corrected(correction), recipe, batch.divisor)
+        return shown(gaussians, corrected(correction), recipe, batch.divisor, by_depth)
 
     appearance = recipe.appearance.for_photo(state.appearance, batch.source)
     correction = recipe.camera_refinement.for_photo(state.cameras, batch.source)
@@ -189,7 +191,7 @@ def compare(state: TrainState, batch: Batch, recipe: Recipe, background: Float[A
     camera, pull_camera = jax.vjp(corrected, correction)
     progress = state.step / state.total
     weight = recipe.objective.weights.of_photo(state.weights, batch.source.view, progress)
-    context = surroundings(batch.context, camera, recipe, batch.divisor)
+    context = surroundings(batch.context, camera, recipe, batch.divisor, by_depth)
     target = Target(batch.photo, batch.mask, batch.landmarks, background, camera, progress, weight, context)
     (_, loss), (d_view, d_appearance) = jax.value_and_grad(weighted_loss, argnums=(0, 1), has_aux=True)(
         view, appearance, target, recipe
@@ -212,9 +214,11 @@ class Target(NamedTuple):
     context: Shown | None = None  # drawn with the view, and not learned
 
 
-def surroundings(context: Gaussians | None, camera: Camera, recipe: Recipe, divisor: int) -> Shown | None:
+def surroundings(
+    context: Gaussians | None, camera: Camera, recipe: Recipe, divisor: int, by_depth: ByDepth
+) -> Shown | None:
     """Projects the context of a view, see `Batch`, as `shown` does; None if there is none."""
-    return None if context is None else shown(context, camera, recipe, divisor)
+    return None if context is None else shown(context, camera, recipe, divisor, by_depth)
 
 
 def beside(view: Shown, context: Shown | None) -> Shown:
@@ -230,14 +234,16 @@ def beside(view: Shown, context: Shown | None) -> Shown:
         pairs = zip(jnp.split(own, copies), jnp.split(other, len(other) // more), strict=True)
         return jnp.concatenate([part for pair in pairs for part in pair])
 
-    return Shown(joined([view.splats, context.splats]), {name: both(name) for name in view.channels})
+    splats = joined([for_kernels(view.splats), for_kernels(context.splats)])
+    return Shown(splats, {name: both(name) for name in view.channels})
 
 
-def shown(gaussians: Gaussians, camera: Camera, recipe: Recipe, divisor: int) -> Shown:
+def shown(gaussians: Gaussians, camera: Camera, recipe: Recipe, divisor: int, by_depth: ByDepth) -> Shown:
     """Projects a scene, or a part of it, for a photo that is smaller by `divisor`."""
     low_pass = filtered(recipe.drawing.low_pass, divisor)
     kernels = recipe.drawing.kernels
-    splats = pipeline.project(gaussians, camera, low_pass, kernels)
+    ordered = replace(gaussians, order=recipe.drawing.order)
+    splats = reordered(pipeline.project(ordered, camera, low_pass, kernels), by_depth)
     seen = Seen(splats, gaussians, camera, kernels=kernels)
     channels = geometry.channels(recipe.objective.geometry.outputs, seen)
     return Shown(recipe.density.watch(splats), channels)

@@ -8,14 +8,14 @@ import jax.numpy as jnp
 
 from splatax.dataset import Dataset
 from splatax.gaussians import Gaussians
-from splatax.low_pass import Dilation
 from splatax.math import harmonics
 from splatax.training.backgrounds import Solid
 from splatax.training.capacity import bucket_for, pad
 from splatax.training.density.none import NoDensityControl
+from splatax.training.drawing import Drawing
 from splatax.training.feed import rows_for
 from splatax.training.loop import Progress, RunState, first_state, optimize
-from splatax.training.recipes import Drawing, Objective, Recipe, ShSchedule, default
+from splatax.training.recipes import Objective, Recipe, ShSchedule, default
 from splatax.training.resolution import Resolution
 
 STEPS = 1000  # half as many lose 0.3 to 0.5 dB on the demo; see docs/formats.md
@@ -25,7 +25,7 @@ def tuning(gaussians: Gaussians, steps: int = STEPS, background: Solid = Solid()
     """Returns the recipe `default` without density control, half-size photos and prior.
 
     Args:
-        gaussians: the scene; its harmonics and its low-pass filter are kept.
+        gaussians: the scene; its harmonics, its low-pass filter and its order are kept.
         steps: number of steps.
         background: behind the scene.
     """
@@ -36,7 +36,7 @@ def tuning(gaussians: Gaussians, steps: int = STEPS, background: Solid = Solid()
         density=NoDensityControl(),
         resolution=Resolution(),
         sh=ShSchedule(degree=harmonics.degree_of(gaussians.sh.shape[1]), every=1),
-        drawing=Drawing(background, gaussians.low_pass),
+        drawing=Drawing(background, gaussians.low_pass).in_order(gaussians.order),
     )
 
 
@@ -49,8 +49,8 @@ def tune(gaussians: Gaussians, dataset: Dataset, recipe: Recipe) -> Iterator[Pro
         recipe: such as `tuning` returns.
     """
     count = len(gaussians)
-    # During training the recipe holds the filter, and scenes have the default one.
-    copied = replace(jax.tree.map(jnp.array, gaussians), low_pass=Dilation())
+    # During training the recipe holds the filter and the order, and scenes have the default ones.
+    copied = replace(jax.tree.map(jnp.array, gaussians), low_pass=Gaussians.low_pass, order=Gaussians.order)
     padded = pad(copied, bucket_for(count))
     state = first_state(padded, recipe, dataset.extent, rows_for(dataset.train))
     yield from optimize(dataset, recipe, RunState(state, count))

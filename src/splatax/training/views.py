@@ -87,8 +87,8 @@ def _on_each(
     packed: bool,
 ) -> tuple[TrainState, Float[Array, ""]]:
     """Makes the part of one device in a step."""
-    background_key, noise_key = jax.random.split(jax.random.fold_in(state.key, state.step))
-    losses, splats, d = compare_views(state, views, recipe, background_key, packed)
+    drawing_key, noise_key = jax.random.split(jax.random.fold_in(state.key, state.step))
+    losses, splats, d = compare_views(state, views, recipe, drawing_key, packed)
     good = jnp.all(jnp.isfinite(losses))  # if not, nothing moves; see `splatax.training.step`
 
     living = lax.psum(jnp.sum(state.gaussians.opacity_logits > -jnp.inf), AXIS)

@@ -20,6 +20,7 @@ from splatax.io import formats
 from splatax.io.files import write_whole
 from splatax.low_pass import AlongRays, Antialiasing, Dilation, LowPass
 from splatax.math import morton
+from splatax.order import common
 from splatax.rendering import Color
 from splatax.scene import Drawable, seen
 from splatax.transforms import Similarity
@@ -102,6 +103,7 @@ def document(
     page = {
         "background": [float(value) for value in background],
         "lowPass": _variances(low_pass),
+        "byDistance": common(gaussians.order for gaussians in seen.clouds_of(scene).values()) == "distance",
         "near": NEAR * staged.place.scale,
         "cameras": staged.poses,
         "start": staged.start,
@@ -231,7 +233,7 @@ def _whole(gaussians: Gaussians) -> Gaussians:
 
 def _spz(gaussians: Gaussians) -> bytes:
     usual = Antialiasing() if isinstance(gaussians.low_pass, Antialiasing) else Dilation()
-    gaussians = replace(gaussians, low_pass=usual)  # the page says how it is shown
+    gaussians = replace(gaussians, low_pass=usual, order="depth")  # the page says how it is shown
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "scene.spz"
         formats.save(path, gaussians, buckets=SH_BUCKETS)

@@ -24,6 +24,9 @@ from splatax.cameras.lenses import Pinhole
 from splatax.footprints import EWA, Method
 from splatax.gaussians import Gaussians
 from splatax.low_pass import Antialiasing, LowPass
+from splatax.order import Order
+from splatax.projection import in_order
+from splatax.splats import for_kernels
 
 Images = tuple[Float[Array, "*v h w c"], Float[Array, "*v h w"]]
 
@@ -55,7 +58,9 @@ class NativeDrawing:
             rows.update(shape=(camera.height, camera.width, 4 if depths else 3)),
             matrix.update(shape=(camera.height, camera.width)),
         )
-        sums, alpha = batchable_call(View(self, structure, low_pass, depths), tuple(leaves), types)
+        sums, alpha = batchable_call(
+            View(self, structure, low_pass, gaussians.order, depths), tuple(leaves), types
+        )
         return sums, alpha
 
 
@@ -67,20 +72,22 @@ class View:
         drawing: the kernels.
         structure: of Gaussians and camera.
         low_pass: the filter.
+        order: of the splats.
         depths: whether depths are blended too.
     """
 
     drawing: NativeDrawing
     structure: Any
     low_pass: LowPass
+    order: Order
     depths: bool
 
     def one(self, *leaves: Array) -> Images:
         """Draws one view."""
         gaussians, camera = jax.tree.unflatten(self.structure, leaves)
-        splats = self.drawing.project(gaussians, camera, self.low_pass)
+        splats = in_order(self.drawing.project(gaussians, camera, self.low_pass), gaussians, camera)
         columns = [splats.colors, splats.depths[:, None]] if self.depths else [splats.colors]
-        return self.drawing.composite(splats, jnp.concatenate(columns, axis=1))
+        return self.drawing.composite(for_kernels(splats), jnp.concatenate(columns, axis=1))
 
     def batch(self, size: int, places: Places, leaves: tuple[Array, ...]) -> Images | None:
         """Draws the views of one scene; None where each view has a scene of its own."""
@@ -126,6 +133,7 @@ class View:
                 variance=np.float32(self.low_pass.variance),
                 fades=np.int64(fades),
                 least_fade=np.float32(floor),
+                by_distance=np.int64(self.order == "distance"),
             )
         )
 

@@ -6,7 +6,7 @@ Those that are not in `READ_ONLY` also have
     save(path, gaussians, comments=)
     MAX_SH_DEGREE    the highest SH degree that the format can hold
     LOSES            what saving loses, as the sentence goes on after "loses: "
-    KEPT_MARKS       the marks of a scene's filter that the file keeps
+    KEPT_MARKS       the marks of how a scene is drawn that the file keeps
     TOLERANCE        the largest error of each number after saving and loading
 
     A reader may raise any exception on a damaged file; `load` and `comments` turn it into a `FormatError`.
@@ -34,7 +34,7 @@ from splatax.io.formats import (
     splat,
     spz,
 )
-from splatax.io.formats.marks import DISCS, MARKS, PLAIN, VARIANCE, is_mark, marked, marks_of
+from splatax.io.formats.marks import BY_DISTANCE, DISCS, MARKS, PLAIN, VARIANCE, is_mark, marked, marks_of
 from splatax.io.formats.marks import MIP as MIP
 from splatax.io.formats.untrusted import structured
 from splatax.packages import required_by
@@ -51,7 +51,11 @@ FORMATS: dict[str, ModuleType] = {
     ".ksplat": ksplat,
     ".pt": gsplat_pt,
 }
-FILTERS = {MIP: "trained with antialiasing", DISCS: "drawn along rays (2DGS)"}  # in words, by mark
+IN_WORDS = {  # by mark
+    MIP: "trained with antialiasing",
+    DISCS: "drawn along rays (2DGS)",
+    BY_DISTANCE: "trained in the order of distances",
+}
 READ_ONLY = (sog_folder, ksplat, gsplat_pt)
 WRITTEN = tuple(suffix for suffix, module in FORMATS.items() if module not in READ_ONLY)
 
@@ -59,8 +63,8 @@ WRITTEN = tuple(suffix for suffix, module in FORMATS.items() if module not in RE
 def load(path: str | Path) -> Gaussians:
     """Reads a splat file. All arrays of the result have the same number of rows.
 
-    A file that says that its scene was trained with antialiasing, or is drawn along rays (2DGS), gives a
-    scene that is drawn so.
+    A file that says that its scene was trained with antialiasing or in the order of distances, or is drawn
+    along rays (2DGS), gives a scene that is drawn so.
 
     Raises:
         FormatError: if the file is missing, damaged, of an unknown format, or does not match its suffix.
@@ -92,7 +96,7 @@ def save(path: str | Path, gaussians: Gaussians, *, comments: tuple[str, ...] = 
     Args:
         path: path of the file; its suffix selects the format.
         gaussians: scene to write.
-        comments: lines to keep with the scene, if the format can, beside the one that names its filter.
+        comments: lines to keep with the scene, if the format can, beside those that say how it is drawn.
         options: options of the format, such as `version=4` for .spz.
 
     Returns:
@@ -113,7 +117,7 @@ def save(path: str | Path, gaussians: Gaussians, *, comments: tuple[str, ...] = 
             options=(f"sh_degree {module.MAX_SH_DEGREE}",),
         )
     written = _written(path, gaussians)
-    own = marks_of(gaussians.low_pass)
+    own = marks_of(gaussians.low_pass, gaussians.order)
     lines = (*own, *(line for line in comments if not is_mark(line)))
     with required_by(f"writing {path}"):
         module.save(path, written, comments=lines, **options)
@@ -132,7 +136,7 @@ def _keeps(module: ModuleType, line: str) -> bool:
 
 
 def _in_words(line: str) -> str:
-    return FILTERS.get(line) or f"filtered with {line.removeprefix(VARIANCE)} square pixels"
+    return IN_WORDS.get(line) or f"filtered with {line.removeprefix(VARIANCE)} square pixels"
 
 
 def format_of(path: Path) -> ModuleType:

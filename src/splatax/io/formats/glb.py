@@ -25,16 +25,17 @@ from splatax.io.formats.glb_scene import EXTENSION, ORIGINAL, Glb, Placed
 from splatax.io.formats.marks import MARKS
 from splatax.io.formats.tolerance import Tolerance
 from splatax.math import harmonics
+from splatax.order import Order
 from splatax.transforms import half_turn
 
 FLOAT, UNSIGNED_BYTE = 5126, 5121  # glTF's component types
 VERTICES = 34962  # glTF's buffer target for vertex attributes
 EMPTY: Mapping[str, Any] = MappingProxyType({})
+SORTING: dict[Order, str] = {"depth": "zDepth", "distance": "cameraDistance"}  # property sortingMethod
 KINDS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
-PROPERTIES = {  # of the extension, as this engine draws splats
+PROPERTIES = {  # of the extension, as this engine draws splats; beside them, how it sorts them
     "kernel": "ellipse",
     "colorSpace": "srgb_rec709_display",
-    "sortingMethod": "cameraDistance",
     "projection": "perspective",
 }
 
@@ -184,7 +185,12 @@ def _primitive(
         views.append({"buffer": 0, "byteOffset": offset, "byteLength": values.nbytes, "target": VERTICES})
         chunks.append(values.tobytes())
         offset += values.nbytes  # all are multiples of 4
-    return {"attributes": attributes, "mode": 0, "extensions": {EXTENSION: PROPERTIES}}
+    return {"attributes": attributes, **points(mesh.gaussians.order)}
+
+
+def points(order: Order) -> dict[str, Any]:
+    """Returns what every primitive of splats has beside its attributes."""
+    return {"mode": 0, "extensions": {EXTENSION: PROPERTIES | {"sortingMethod": SORTING[order]}}}
 
 
 def arrays_of(mesh: Mesh) -> dict[str, np.ndarray]:

@@ -1,4 +1,4 @@
-"""Comments in scene files that say how a scene was trained, and how large it is."""
+"""Comments in scene files that say how a scene is drawn, and how large it is."""
 
 import math
 from collections.abc import Iterable
@@ -6,22 +6,27 @@ from dataclasses import replace
 
 from splatax.gaussians import Gaussians
 from splatax.low_pass import AlongRays, Antialiasing, Dilation, LowPass
+from splatax.order import Order
 
 MIP = "SplatRenderMode: mip"  # trained with antialiasing
 PLAIN = "SplatRenderMode: default"
 DISCS = "SplatRenderMode: 2dgs"  # drawn along rays
+BY_DISTANCE = "SplatSortingMethod: cameraDistance"  # the word of KHR_gaussian_splatting; depth if none
 KINDS: dict[str, type[Dilation] | type[Antialiasing] | type[AlongRays]] = {
     MIP: Antialiasing,
     PLAIN: Dilation,
     DISCS: AlongRays,
 }
-MARKS = tuple(KINDS)
+MARKS = (*KINDS, BY_DISTANCE)
 VARIANCE = "Low-pass variance: "  # before the number, pixels^2
 METRES = "Metres per unit: "  # before the number
 
 
-def marks_of(low_pass: LowPass) -> tuple[str, ...]:
-    """Returns the comments that tell the filter of a scene: its kind, and its variance if not the default."""
+def marks_of(low_pass: LowPass, order: Order) -> tuple[str, ...]:
+    """Returns the comments that tell how a scene is drawn.
+
+    They tell the kind of its filter, the variance if it is not the default, and the order by distance.
+    """
     match low_pass:
         case Antialiasing():
             kind = MIP
@@ -29,29 +34,31 @@ def marks_of(low_pass: LowPass) -> tuple[str, ...]:
             kind = DISCS
         case Dilation():
             kind = PLAIN
-    if low_pass.variance == type(low_pass)().variance:
-        return (kind,)
-    return kind, f"{VARIANCE}{float(low_pass.variance)!r}"
+    usual = low_pass.variance == type(low_pass)().variance
+    variance = () if usual else (f"{VARIANCE}{float(low_pass.variance)!r}",)
+    return (kind, *variance, *((BY_DISTANCE,) if order == "distance" else ()))
 
 
 def is_mark(line: str) -> bool:
-    """Returns whether a comment tells the filter of a scene."""
+    """Returns whether a comment tells how a scene is drawn."""
     return line in MARKS or line.startswith(VARIANCE)
 
 
 def marked(gaussians: Gaussians, comments: Iterable[str]) -> Gaussians:
-    """Returns a scene with the filter that the comments of its file tell; as it is if they tell none.
+    """Returns a scene with the filter and the order that the comments of its file tell.
 
     Raises:
         ValueError: if the variance is not a number of at least zero.
     """
-    low_pass = gaussians.low_pass
+    low_pass, order = gaussians.low_pass, gaussians.order
     for line in sorted(filter(is_mark, comments), key=lambda line: line not in KINDS):  # kinds come first
-        if line in KINDS:
+        if line == BY_DISTANCE:
+            order = "distance"
+        elif line in KINDS:
             low_pass = low_pass if line == PLAIN else KINDS[line]()  # PLAIN is also said of discs
         else:
             low_pass = replace(low_pass, variance=_variance(line.removeprefix(VARIANCE)))
-    return replace(gaussians, low_pass=low_pass)
+    return replace(gaussians, low_pass=low_pass, order=order)
 
 
 def _variance(text: str) -> float:

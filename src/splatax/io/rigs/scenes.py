@@ -19,7 +19,7 @@ from splatax.io.formats.glb_scene import Glb, Placed
 from splatax.io.formats.untrusted import structured
 from splatax.io.rigs.following import check_following
 from splatax.io.rigs.nodes import read_skeleton
-from splatax.io.rigs.writing import FOLLOWS, POINTS, Mesh, joints_attributes, write_skinned
+from splatax.io.rigs.writing import FOLLOWS, Mesh, joints_attributes, write_skinned
 from splatax.io.scenes import NO_VARIANTS, half_turned, names_of, opened, scene_in, sound_rows, written
 from splatax.scene import Part, Scene, Variants
 from splatax.scene.rigged import AnimatedScene, RiggedScene
@@ -75,7 +75,10 @@ def save_animated(
             for key in OWN:
                 del node[key]
             node |= FOLLOWS
-    meshes = [Mesh(attributes, POINTS) for attributes in arrays]
+    meshes = [
+        Mesh(attributes, glb.points(mesh.gaussians.order))
+        for attributes, mesh in zip(arrays, splats, strict=True)
+    ]
     write_skinned(path, skeleton, animated.clips, meshes, nodes, lines, kept)
 
 

@@ -12,8 +12,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from splatax.io.files import write_whole
-from splatax.io.formats.glb import PROPERTIES
-from splatax.io.formats.glb_scene import EXTENSION
 from splatax.io.rigs.nodes import FRAME
 from splatax.math.srgb import to_linear
 from splatax.scene.body import Body, strongest
@@ -24,7 +22,6 @@ TYPES = {"u1": 5121, "u2": 5123, "u4": 5125, "f4": 5126}  # NumPy's codes to glT
 KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 EMPTY: Mapping[str, Any] = MappingProxyType({})
 FOLLOWS = {"skin": 0}  # of a node whose mesh follows the skeleton
-POINTS = {"mode": 0, "extensions": {EXTENSION: PROPERTIES}}  # of a primitive of splats
 VERTICES, INDICES = 34962, 34963  # glTF's buffer targets
 
 

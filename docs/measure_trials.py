@@ -18,16 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from measure_long import VARIANTS, loaded, rates, settling, varied
 from scipy.spatial.transform import Rotation, Slerp
-from trial_parts import (
-    BilateralGrid,
-    FarPulls,
-    Huber,
-    JaxAdam,
-    LearnedSky,
-    OpacityNoise,
-    Rays,
-    SecondOrder,
-)
+from trial_parts import BilateralGrid, FarPulls, Huber, JaxAdam, LearnedSky, OpacityNoise, Rays, SecondOrder
 
 import splatax as sx
 from splatax.cameras import Camera

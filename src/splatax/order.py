@@ -26,6 +26,6 @@ def check_order(order: str) -> None:
 def common(orders: Iterable[Order]) -> Order:
     """Returns the order of scenes that are drawn together: by distance if all of them are, else by depth.
 
-    Scenes that `default` trained can be drawn in both orders; others only by depth.
+    Scenes that `default` trained can be drawn in both orders, and those of other programs only by depth.
     """
     return "distance" if set(orders) == {"distance"} else "depth"

@@ -1,14 +1,18 @@
 """`splatax render` without a path: which depth it writes and why, and normals."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
 import splatax as sx
+from scenes import random_gaussians
 from splatax import cli
 from splatax.cameras.geometry import rays
 from splatax.geometry_scores import best_depth
+from splatax.metrics import to_8bit
 
 NAME = "photo03"
 
@@ -40,6 +44,21 @@ def test_depth_and_normals_are_those_of_the_wall_that_the_camera_sees(wall, tmp_
     color = np.round(255 * (0.5 + 0.5 * np.array([right, -down, -forward])))
     assert np.abs(shown - color).max() <= 1  # a component near a level of 8 bits
     assert np.asarray(Image.open(out / "depth" / f"{NAME}.png")).any(axis=2).all()
+
+
+def test_a_scene_is_drawn_in_the_order_that_the_user_asks_for(wall, tmp_path):
+    camera, path = camera_of(wall[1]), tmp_path / "cloud.ply"
+    cloud = random_gaussians(n=400, spread=0.8, scale=(0.1, 0.4))
+    ahead = np.asarray(camera.position) + 3 * np.asarray(camera.rotation)[2]
+    cloud = replace(cloud, means=cloud.means + ahead[None], order="distance")
+    sx.save(path, cloud)
+    pictures = {}
+    for order, options in (("distance", ()), ("depth", ("--order", "depth"))):
+        out = rendered((path, wall[1]), tmp_path / order, *options)
+        pictures[order] = np.asarray(Image.open(out / "rgb" / f"{NAME}.png"))
+        expected = sx.render(replace(sx.load(path), order=order), camera).rgb
+        assert_array_equal(pictures[order], to_8bit(np.asarray(expected)))
+    assert (pictures["distance"] != pictures["depth"]).any()
 
 
 def test_the_depth_that_agrees_best_with_the_points_is_written_and_a_line_says_so(wall, tmp_path, capsys):

@@ -52,7 +52,7 @@ def test_a_run_holds_the_scene_its_poses_and_its_scores(run, arm):
 
 
 @pytest.mark.slow
-def test_a_rig_is_drawn_with_the_filter_that_it_was_trained_with(arm, tmp_path, monkeypatch):
+def test_a_rig_is_drawn_with_the_filter_and_in_the_order_that_it_was_trained_with(arm, tmp_path, monkeypatch):
     recipes = []
 
     def recorded(dataset, recipe, *arguments):
@@ -62,8 +62,11 @@ def test_a_rig_is_drawn_with_the_filter_that_it_was_trained_with(arm, tmp_path, 
     monkeypatch.setattr(rigging, "optimize_rig", recorded)
     poses = ["--skeleton", f"{arm}/body.glb", "--poses", f"{arm}/poses.json", "--out", str(tmp_path)]
     sizes = ["--steps", "1", "--max-gaussians", "100"]
-    cli.main(["rig", str(arm), *poses, *sizes, "--low-pass", "antialiasing:0.1"])
+    cli.main(["rig", str(arm), *poses, *sizes, "--low-pass", "antialiasing:0.1", "--order", "depth"])
     assert [recipe.drawing.low_pass for recipe in recipes] == [sx.Antialiasing(0.1)]
+    assert (
+        [recipe.drawing.order for recipe in recipes] == [sx.load(tmp_path / "scene.ply").order] == ["depth"]
+    )
     assert load_rigged(tmp_path / "rigged.glb").gaussians.low_pass == sx.Antialiasing(0.1)
     assert sx.load(tmp_path / "scene.ply").low_pass == sx.Antialiasing(0.1)
 

@@ -167,6 +167,9 @@ def test_filter_and_order_come_back_and_two_filters_are_refused(tmp_path):
     sx.save_scene(path, sx.Scene({"wheel": smooth}))
     assert sx.load_scene(path)["wheel"].gaussians.low_pass == sx.Antialiasing()
     assert sx.load_scene(path)["wheel"].gaussians.order == "distance"
+    for order, method in (("distance", b"cameraDistance"), ("depth", b"zDepth")):
+        sx.save(path, replace(WHEEL, order=order))
+        assert b'"sortingMethod":"' + method in path.read_bytes()
     with pytest.raises(sx.FormatError, match="one low-pass filter"):
         sx.save_scene(path, sx.Scene({"wheel": smooth, "body": sx.Part(BODY)}))
 

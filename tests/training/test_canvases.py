@@ -19,6 +19,7 @@ from splatax.cameras.lenses import Fisheye, OpenCV, Orthographic, Pinhole, openc
 from splatax.dataset import hold_out
 from splatax.evaluation import MOST_SIZES, picture
 from splatax.low_pass import AlongRays
+from splatax.training.backgrounds import Solid
 from splatax.training.canvases import filling
 from splatax.training.density import Classic, NoDensityControl
 from splatax.training.disc_geometry import DiscGeometry
@@ -231,6 +232,8 @@ def with_geometry(recipe, geometry):
 def test_a_step_on_a_canvas_is_the_step_on_the_photo(lens, masked, geometry):
     view = view_of("a", camera_of((40, 32), lens), masked)
     recipe = with_geometry(RECIPE, geometry).on(sx.backends.resolve("auto"))
+    blue = Solid((0.2, 0.4, 0.6))
+    recipe = replace(recipe, drawing=replace(recipe.drawing, background=blue))
     found = []
     for canvases in (None, [CANVAS]):
         state = first_state(jax.tree.map(jnp.array, TRUTH), recipe, 1.0, 1)

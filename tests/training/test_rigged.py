@@ -56,12 +56,13 @@ def dense(rig, n):
 
 
 @pytest.mark.slow
-def test_the_scene_is_drawn_with_the_filter_that_it_was_trained_with():
+def test_the_scene_is_drawn_with_the_filter_and_in_the_order_that_it_was_trained_with():
     dataset, poses, pose_of = capture(views=1)
     recipe = recipe_for(1, 400)
     recipe = replace(recipe, drawing=replace(recipe.drawing, low_pass=sx.Antialiasing()))
     (last,) = optimize_rig(dataset, recipe, covering(BODY, 150), poses, pose_of)
     assert last.gaussians.low_pass == sx.Antialiasing()
+    assert last.gaussians.order == recipe.drawing.order == "distance"
 
 
 @pytest.mark.slow

@@ -1,7 +1,7 @@
 """The way in which training steps draw the scene that they compare with photos.
 
-A scene that is drawn by distance is drawn by depth in some steps, chosen at random, so that it can be drawn
-in both orders: other viewers know only the one by depth.
+Some steps, chosen at random, draw a scene by depth although its order is that by distance. Such a scene can
+be drawn in both orders: most other viewers sort by depth.
 """
 
 from dataclasses import dataclass, replace

@@ -170,6 +170,10 @@ def test_filter_and_order_come_back_and_two_filters_are_refused(tmp_path):
     for order, method in (("distance", b"cameraDistance"), ("depth", b"zDepth")):
         sx.save(path, replace(WHEEL, order=order))
         assert b'"sortingMethod":"' + method in path.read_bytes()
+    mixed = {"wheel": sx.Part(replace(WHEEL, order="distance")), "body": sx.Part(BODY)}
+    sx.save_scene(path, sx.Scene(mixed))
+    assert path.read_bytes().count(b"zDepth") == 2
+    assert {part.gaussians.order for part in sx.load_scene(path).parts.values()} == {"depth"}
     with pytest.raises(sx.FormatError, match="one low-pass filter"):
         sx.save_scene(path, sx.Scene({"wheel": smooth, "body": sx.Part(BODY)}))
 

@@ -25,7 +25,7 @@ from splatax.io.formats.glb_scene import EXTENSION, ORIGINAL, Glb, Placed
 from splatax.io.formats.marks import MARKS
 from splatax.io.formats.tolerance import Tolerance
 from splatax.math import harmonics
-from splatax.order import Order
+from splatax.order import Order, common
 from splatax.transforms import half_turn
 
 FLOAT, UNSIGNED_BYTE = 5126, 5121  # glTF's component types
@@ -138,7 +138,8 @@ def write(
     accessors: list[dict[str, Any]] = []
     views: list[dict[str, Any]] = []
     chunks: list[bytes] = []
-    primitives = [_primitive(mesh, accessors, views, chunks) for mesh in meshes]
+    kind = points(meshes)
+    primitives = [{"attributes": _attributes(mesh, accessors, views, chunks), **kind} for mesh in meshes]
     offset = sum(map(len, chunks))
     used = {EXTENSION, *(name for node in nodes for name in node.get("extensions", ()))}
     scene: dict[str, Any] = {"nodes": list(range(len(nodes)))}
@@ -162,10 +163,10 @@ def write(
     write_whole(path, b"".join([head, struct.pack("<I4s", offset, b"BIN\0"), *chunks]))
 
 
-def _primitive(
+def _attributes(
     mesh: Mesh, accessors: list[dict[str, Any]], views: list[dict[str, Any]], chunks: list[bytes]
-) -> dict[str, Any]:
-    """Appends the attributes of Gaussians to the file's lists, and returns their primitive."""
+) -> dict[str, int]:
+    """Appends the attributes of Gaussians to the file's lists, and returns their accessors by name."""
     arrays = arrays_of(mesh)
     attributes = {}
     offset = sum(map(len, chunks))
@@ -185,11 +186,12 @@ def _primitive(
         views.append({"buffer": 0, "byteOffset": offset, "byteLength": values.nbytes, "target": VERTICES})
         chunks.append(values.tobytes())
         offset += values.nbytes  # all are multiples of 4
-    return {"attributes": attributes, **points(mesh.gaussians.order)}
+    return attributes
 
 
-def points(order: Order) -> dict[str, Any]:
-    """Returns what every primitive of splats has beside its attributes."""
+def points(meshes: Sequence[Mesh]) -> dict[str, Any]:
+    """Returns what each primitive of a file has beside its attributes. All splats are sorted together."""
+    order = common(mesh.gaussians.order for mesh in meshes)
     return {"mode": 0, "extensions": {EXTENSION: PROPERTIES | {"sortingMethod": SORTING[order]}}}
 
 

@@ -75,10 +75,8 @@ def save_animated(
             for key in OWN:
                 del node[key]
             node |= FOLLOWS
-    meshes = [
-        Mesh(attributes, glb.points(mesh.gaussians.order))
-        for attributes, mesh in zip(arrays, splats, strict=True)
-    ]
+    kind = glb.points(splats)
+    meshes = [Mesh(attributes, kind) for attributes in arrays]
     write_skinned(path, skeleton, animated.clips, meshes, nodes, lines, kept)
 
 

@@ -46,7 +46,6 @@ LOOK_UP = {
     "bench/operations",
     "blocks/parts",
     "blocks/visibility",
-    "inspection/pace",
     "rendering",
     "runs/budget",
     "stages",

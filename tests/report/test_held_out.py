@@ -5,8 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
+from scipy import ndimage
 
 import splatax as sx
+from captures import write_capture
 from report.galleries import gallery_of
 from splatax.errors import FormatError
 from splatax.evaluation import Scores, ViewScore
@@ -59,7 +62,6 @@ def moved():
     ("photo", "image", "why"),
     [
         (NOISE, FOG, "Haze"),
-        (SMOOTH, SMOOTH + np.uint8(20), "Motion"),
         (NOISE, moved(), "Most of the error is in one small part"),
         (NOISE, 255 - NOISE, "The error is spread over the picture"),
     ],
@@ -68,6 +70,23 @@ def test_the_cause_is_that_of_the_pictures_of_the_trial(dataset, trial, photo, i
     verdict = verdict_of(dataset, held_out.quoted(trial(photo, image)), unseen=True)
     assert verdict.bad[0].what == "view00.png is clearly different from the photo."
     assert verdict.bad[0].why.startswith(why)
+
+
+def test_the_cause_is_motion_if_the_photo_is_blurred_compared_with_the_others(tmp_path):
+    capture = write_capture(tmp_path / "capture", count=24)
+    for path in sorted((capture / "images").iterdir()):
+        blur = 2.0 if path.name == "photo00.png" else 1.0
+        smooth = ndimage.gaussian_filter(np.random.default_rng(0).normal(size=(48, 64)), blur)
+        grey = (128 + 200 * smooth).clip(0, 255).astype(np.uint8)
+        Image.fromarray(np.repeat(grey[..., None], 3, axis=2)).save(path)
+    photos = sx.load_dataset(capture)
+    photos = replace(photos, train=photos.views, test=())
+    for name, is_blurred in (("photo00.png", True), ("photo01.png", False)):
+        score = ViewScore(name, 18.0, 0.5, 18.2)
+        seen = gallery_of([Comparison(score, NOISE, 255 - NOISE)]).judged
+        others = [ViewScore(f"photo{i:02}.png", 30.0, 0.9, 30.1) for i in range(2, 24)]
+        verdict = verdict_of(photos, replace(seen, scores=(score, *others)), unseen=True)
+        assert verdict.bad[0].why.startswith("Motion" if is_blurred else "The error is spread")
 
 
 def test_a_trial_of_few_steps_is_the_cause_of_missing_detail(dataset, trial):
@@ -109,6 +128,16 @@ def test_only_the_worst_pictures_are_kept_and_what_is_read_is_what_was_seen(tria
     assert list(read.pictures) == [f"{i}.png" for i in range(held_out.MOST)]
     assert read.symptoms == seen.symptoms
     assert read.best == replace(seen.best, error="")
+
+
+def test_a_file_of_the_version_before_is_read(trial):
+    run = trial()
+    path = run.folder / held_out.NAME
+    contents = json.loads(path.read_text())
+    for each in contents["symptoms"].values():
+        each["sharpness"] = 3.5
+    path.write_text(json.dumps(contents))
+    assert held_out.quoted(run).symptoms == held_out.quoted(trial()).symptoms
 
 
 def test_a_perfect_score_is_read_as_such(trial):

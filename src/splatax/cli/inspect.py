@@ -1,7 +1,7 @@
 """`splatax inspect`: problems of a capture, before training."""
 
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +12,7 @@ from rich.text import Text
 from splatax.cli.options import Downscale, PathOption, load_scene
 from splatax.cli.output import cell, say, show
 from splatax.errors import InputError
-from splatax.inspection import examine, problems_of, seconds_to_train
+from splatax.inspection import examine, forecasted, problems_of
 from splatax.io.datasets import folder_of, reader_of
 from splatax.io.files import write_whole
 from splatax.reconstruction.photos import files_of
@@ -52,7 +52,7 @@ class Inspect:
         found = examine(self.scene if known else folder, dataset)
         if dataset is not None:
             say("measuring the speed of this machine ...")
-            found = replace(found, seconds=seconds_to_train(dataset, found.gaussians))
+            found = forecasted(found)
         problems = problems_of(found)
         table = Table(box=None, show_header=False, pad_edge=False)
         for label, value in facts_of(found):

@@ -12,7 +12,7 @@ from splatax.cli.settings import Settings
 from splatax.dataset import photos_in
 from splatax.errors import InputError
 from splatax.io.datasets.photos import counted
-from splatax.runs.budget import DENSEST, MOST_VISITS, Bounds, duration, longest_run, measured, plan
+from splatax.runs.budget import MOST_VISITS, bounds_of, duration, measured, plan
 from splatax.runs.clock import Expected
 from splatax.runs.planning import Deadline, Room, gaussians_here, smaller_photos
 from splatax.training.recipes import MOST, PRESETS, detail_of, most_for, room_for, steps_for
@@ -100,8 +100,7 @@ def planned_by_time(
     assert settings.seconds
     first = recipe.initialization.number(dataset)
     asked = None if settings.max_gaussians == "auto" else settings.max_gaussians
-    ample = min(DENSEST * most, room.gaussians, max(MOST, most))
-    bounds = Bounds(most, int(ample), longest_run(len(dataset.train)))
+    bounds = bounds_of(len(dataset.train), most, room.gaussians)
     chosen = plan(costs, settings.seconds, first, bounds, asked)
     milliseconds = 1e3 * costs.fine.step(chosen.max_gaussians)
     seconds = settings.seconds

@@ -2,6 +2,6 @@
 
 from splatax.inspection.examination import Examination as Examination
 from splatax.inspection.examination import examine as examine
-from splatax.inspection.pace import seconds_to_train as seconds_to_train
+from splatax.inspection.pace import forecasted as forecasted
 from splatax.inspection.problems import Problem as Problem
 from splatax.inspection.problems import problems_of as problems_of

@@ -34,10 +34,11 @@ class Examination:
         coverage: fraction of unmasked pixels, by name, for a sample of the views with masks.
         unused: reasons why other files in the folder cannot be used, by name; of photos without poses.
         bad_masks: reasons why masks cannot be used, by name; of the same sample.
-        gaussians: number of Gaussians that the default recipe would use.
-        memory: memory that training would then need, bytes.
+        gaussians: number of Gaussians that a run with default options would grow to.
+        memory: memory that it would need, bytes.
         available: free memory of this machine, bytes; None if unknown.
-        seconds: time that training would then take; None if it was not measured.
+        steps: number of steps of that run; None if the speed of this machine was not measured.
+        seconds: time that they would take; None if the speed was not measured.
     """
 
     path: Path
@@ -53,6 +54,7 @@ class Examination:
     gaussians: int = 0
     memory: int = 0
     available: int | None = None
+    steps: int | None = None
     seconds: float | None = None
 
     @property
@@ -80,7 +82,6 @@ def examine(path: Path, dataset: Dataset | None) -> Examination:
             wide=tuple(photo.name for photo in headers if photo.wide),
             unused=unused,
         )
-    known, survey = surveyed(path, dataset), dataset.survey
     masked = [view for view in dataset.views if view.mask]
     coverage, bad_masks = {}, {}
     for view in masked[:: -(-len(masked) // MASKS) or 1]:
@@ -90,22 +91,32 @@ def examine(path: Path, dataset: Dataset | None) -> Examination:
         except DatasetError as error:
             bad_masks[view.name] = str(error)
     gaussians = room_for(dataset)
-    width, height, photos_bytes = forecast.photos(dataset)
-    in_memory = min(photos_bytes, room_within(None, dataset, 0).photos)
-    views = {view.name: view for view in dataset.views}
-    seen = looks_of(survey.files, LOOKING, views, sampled_points(dataset))
     return replace(
-        known,
-        looks={
-            name: looks[0] if len(looks) == 1 else joined(looks)
-            for name, looks in by_photo(dataset.views, seen).items()
-        },
+        surveyed(path, dataset),
+        looks=looks_at(dataset),
         coverage=coverage,
         bad_masks=bad_masks,
         gaussians=gaussians,
-        memory=forecast.memory(gaussians, width, height, round(in_memory)),
+        memory=memory_for(dataset, gaussians),
         available=available_memory(),
     )
+
+
+def looks_at(dataset: Dataset) -> dict[str, Look]:
+    """Returns measurements of the photos of a capture, by name, for as many as there is time for."""
+    views = {view.name: view for view in dataset.views}
+    seen = looks_of(dataset.survey.files, LOOKING, views, sampled_points(dataset))
+    return {
+        name: looks[0] if len(looks) == 1 else joined(looks)
+        for name, looks in by_photo(dataset.views, seen).items()
+    }
+
+
+def memory_for(dataset: Dataset, gaussians: int) -> int:
+    """Returns the memory that training to this number of Gaussians would need, bytes."""
+    width, height, photos_bytes = forecast.photos(dataset)
+    in_memory = min(photos_bytes, room_within(None, dataset, 0).photos)
+    return forecast.memory(gaussians, width, height, round(in_memory))
 
 
 def surveyed(path: Path, dataset: Dataset) -> Examination:

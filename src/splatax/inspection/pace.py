@@ -1,43 +1,33 @@
-"""Estimates the training time on this machine from a few measured steps."""
+"""Forecasts a training run with default options on this machine, from a few measured steps."""
 
-import time
+from dataclasses import replace
 
-from splatax import backends
-from splatax.bench.operations import step
-from splatax.bench.scenes import procedural
-from splatax.bench.timing import timed
-from splatax.dataset import Dataset
-from splatax.runs.budget import HEAVIER, coarse_size, mean_count
-from splatax.training.recipes import COARSE, Recipe, default
-
-TIMED, ROUNDS = 1.0, 10  # seconds for which steps of one size are timed; most steps
+from splatax.inspection.examination import Examination, memory_for
+from splatax.runs.budget import DEFAULT_BUDGET, bounds_of, measured, parse_seconds, plan
+from splatax.runs.planning import room_within
+from splatax.training.recipes import PRESETS, default, room_for
 
 
-def seconds_to_train(dataset: Dataset, gaussians: int) -> float:
-    """Returns the time of all steps of the recipe `default` if nothing else runs. It takes some seconds.
+def forecasted(found: Examination) -> Examination:
+    """Returns measurements with a forecast of the run that `splatax train` plans without options.
 
-    Two programs are compiled and timed: one for the steps with smaller photos, and one for the rest. Both use
-    the mean number of Gaussians, because the time of a step is linear in it. Loading, evaluation and
-    compilation of other programs are not included.
+    It times steps for some seconds. Loading, evaluation and scores are not included.
 
     Args:
-        dataset: the capture.
-        gaussians: number of Gaussians that the scene grows to.
+        found: measurements of a capture with poses.
     """
-    recipe = default(max_gaussians=gaussians).on(backends.resolve("auto"))
-    camera = dataset.train[0].camera
-    size = camera.width, camera.height
-    fewer = round(mean_count(min(len(dataset.points) or gaussians, gaussians), gaussians))
-    coarse = seconds_a_step(fewer, coarse_size(size, recipe), recipe)
-    fine = seconds_a_step(gaussians, size, recipe)
-    return HEAVIER * recipe.steps * (coarse + (COARSE - 1) * fine) / COARSE
-
-
-def seconds_a_step(gaussians: int, size: tuple[int, int], recipe: Recipe) -> float:
-    """Returns the shortest of several measured times of a training step."""
-    work = step(procedural(gaussians, size), recipe)
-    timed(work)  # compiles
-    end, times = time.monotonic() + TIMED, [timed(work), timed(work)]
-    while time.monotonic() < end and len(times) < ROUNDS:
-        times.append(timed(work))
-    return min(times) / 1e3
+    assert found.dataset is not None
+    dataset, recipe = found.dataset, default()
+    most, camera = room_for(dataset), dataset.train[0].camera
+    costs = measured((camera.width, camera.height), recipe, camera.lens)
+    start = recipe.initialization if len(dataset.points) else PRESETS["default"].random_start
+    first = start.number(dataset)
+    bounds = bounds_of(len(dataset.train), most, room_within(None, dataset, first).gaussians)
+    run = plan(costs, parse_seconds(DEFAULT_BUDGET), first, bounds)
+    return replace(
+        found,
+        gaussians=run.max_gaussians,
+        memory=memory_for(dataset, run.max_gaussians),
+        steps=run.steps,
+        seconds=costs.run(run.steps, min(first, run.max_gaussians), run.max_gaussians),
+    )

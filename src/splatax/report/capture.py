@@ -12,8 +12,6 @@ from splatax.io.datasets.photos import counted, sizes_of
 from splatax.report.page import fill
 from splatax.report.pictures import encoded
 from splatax.report.plan import plan
-from splatax.runs.budget import DEFAULT_BUDGET
-from splatax.training.recipes import default
 
 LENSES = 4  # lenses that are listed
 MOST = 300  # photos with pictures, which take 16 MB if all are noise
@@ -56,12 +54,9 @@ def facts_of(found: Examination) -> list[tuple[str, str]]:
         free = f", {found.available / 1e9:.1f} GB are free here" if found.available else ""
         forecast = f"about {found.memory / 1e9:.1f} GB for {found.gaussians:,} Gaussians, as by default{free}"
         facts.append(("memory to train", forecast))
-    if found.seconds:
-        steps = f"{default().steps:,} steps of the default recipe to {found.gaussians:,} Gaussians"
-        forecast = (
-            f"{DEFAULT_BUDGET} by default; about {roughly(found.seconds)} for {steps}, as busy as it is now"
-        )
-        facts.append(("time to train", forecast))
+    if found.steps and found.seconds:
+        run = f"{found.steps:,} steps to {found.gaussians:,} Gaussians, as busy as this machine is now"
+        facts.append(("time to train", f"about {roughly(found.seconds)} by default: {run}"))
     return facts
 
 

@@ -1,6 +1,6 @@
 """The photos that a scene matches badly, grouped by the probable cause."""
 
-from collections.abc import Mapping, Set
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -8,8 +8,8 @@ import numpy as np
 
 from splatax.dataset import Dataset, by_photo
 from splatax.evaluation import ViewScore
-from splatax.inspection.blur import LEAST_SHARPNESS
-from splatax.inspection.outliers import outliers
+from splatax.inspection.blur import blurred
+from splatax.inspection.examination import looks_at
 from splatax.inspection.problems import TWICE
 from splatax.report.gallery import Judged, Symptoms
 from splatax.report.next_photos import ISOLATED, spacings
@@ -38,25 +38,30 @@ class _Known:
     """What is known about the photos of a run.
 
     Attributes:
+        dataset: the capture.
         bar: PSNR below which a photo counts as bad, dB.
         errors: median reprojection error by name, pixels, for photos that have one.
         spacings: distance to the nearest training photo by name, in multiples of the usual distance.
         symptoms: of photos by name, for those that have pictures.
-        blurred: names of photos that are blurred, compared with the others.
         hasty: see `Judged`.
     """
 
+    dataset: Dataset
     bar: float
     errors: Mapping[str, float]
     spacings: Mapping[str, float]
     symptoms: Mapping[str, Symptoms]
-    blurred: Set[str]
     hasty: int
 
     @cached_property
     def largest_error(self) -> float:
         """Reprojection error, pixels, above which a pose counts as wrong."""
         return max(TWICE * float(np.median(list(self.errors.values()))), 1.0) if self.errors else np.inf
+
+    @cached_property
+    def blurred(self) -> set[str]:
+        """Names of the photos that are blurred, compared with the others. Looks at them for some seconds."""
+        return set(blurred(looks_at(self.dataset)))
 
 
 def by_cause(dataset: Dataset, judged: Judged, bar: float) -> dict[Cause, list[ViewScore]]:
@@ -72,6 +77,7 @@ def by_cause(dataset: Dataset, judged: Judged, bar: float) -> dict[Cause, list[V
         return {}
     errors = {name: values for name, values in dataset.survey.errors.items() if len(values)}
     known = _Known(
+        dataset,
         bar,
         {
             name: float(np.median(np.concatenate(values)))
@@ -79,7 +85,6 @@ def by_cause(dataset: Dataset, judged: Judged, bar: float) -> dict[Cause, list[V
         },
         spacings(dataset),
         judged.symptoms,
-        _blurred({name: each.sharpness for name, each in judged.symptoms.items()}),
         judged.hasty,
     )
     causes: dict[Cause, list[ViewScore]] = {}
@@ -133,8 +138,3 @@ def _cause(score: ViewScore, known: _Known) -> Cause:
         "The error is spread over the picture: fine detail is missing.",
         "Train longer, or take more photos from nearer.",
     )
-
-
-def _blurred(sharpness: Mapping[str, float]) -> set[str]:
-    """Returns the names of photos that are blurred, compared with the others, if there are enough others."""
-    return set(outliers(list(sharpness), np.array(list(sharpness.values())), LEAST_SHARPNESS, -1))

@@ -8,9 +8,8 @@ import numpy as np
 
 from splatax.dataset import View, by_photo
 from splatax.evaluation import ViewScore, scores_of
-from splatax.inspection.looks import LUMINANCE, sharpness
 from splatax.report.pictures import data_uri, error_map
-from splatax.runs.history import Picture, shrunk
+from splatax.runs.history import Picture
 from splatax.runs.results import Comparison
 
 MOST = 40  # views with pictures
@@ -21,15 +20,13 @@ CONCENTRATED, PART = 0.6, 0.05  # fraction of the squared error that lies in thi
 
 @dataclass(frozen=True)
 class Symptoms:
-    """Properties of a photo and of the scene from there, by which a bad score is explained.
+    """Properties of a picture of the scene, compared with its photo, by which a bad score is explained.
 
     Attributes:
-        sharpness: logarithm of the sharpness of the photo.
         hazy: true if the scene has much less contrast than the photo.
         concentrated: true if most of the error lies in a small part of the picture.
     """
 
-    sharpness: float
     hazy: bool
     concentrated: bool
 
@@ -122,7 +119,7 @@ class Gallery:
     def join_faces(self, views: Sequence[View]) -> None:
         """Replaces the scores of the faces of a 360-degree photo by its own, once all views have been seen.
 
-        Pictures stay those of faces. The photo is as sharp as its mean face, and looks like its worst.
+        Pictures stay those of faces. The photo has the symptoms of its worst face.
 
         Args:
             views: all views of the capture.
@@ -131,12 +128,10 @@ class Gallery:
         psnr = {score.name: score.psnr for score in self.scores}
         self.scores = list(scores_of(views, self.scores).views)
         seen = {name: name for name in self.symptoms}
-        joined = {}
-        for photo, faces in by_photo(views, seen).items():
-            worst = self.symptoms[min(faces, key=psnr.__getitem__)]
-            mean = float(np.mean([self.symptoms[face].sharpness for face in faces]))
-            joined[photo] = Symptoms(mean, worst.hazy, worst.concentrated)
-        self.symptoms = joined
+        self.symptoms = {
+            photo: self.symptoms[min(faces, key=psnr.__getitem__)]
+            for photo, faces in by_photo(views, seen).items()
+        }
 
     @property
     def worst(self) -> list[Exhibit]:
@@ -173,13 +168,7 @@ def exhibited(comparison: Comparison) -> Exhibit:
 
 def symptoms_of(comparison: Comparison) -> Symptoms:
     """Returns the properties of a view that may explain its score."""
-    luminance = shrunk(comparison.photo).astype(np.float32) @ np.array(LUMINANCE, np.float32)
-    flat = min(luminance.shape) < 3
-    return Symptoms(
-        float(np.log(max(0.0 if flat else sharpness(luminance), 1e-3))),
-        _hazy(comparison),
-        _concentrated(comparison),
-    )
+    return Symptoms(_hazy(comparison), _concentrated(comparison))
 
 
 def _hazy(comparison: Comparison) -> bool:

@@ -3,14 +3,14 @@
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from typing import Any
 
 from splatax.evaluation import ViewScore
 from splatax.report.gallery import Exhibit, Judged, Symptoms
 from splatax.runs.finished import AGAIN, FinishedRun, psnr_of
 from splatax.runs.planning import ENOUGH_STEPS
-from splatax.runs.records import as_json, read_record, typed, typed_fields, understood
+from splatax.runs.records import as_json, read_record, typed, understood
 
 NAME = "held_out.json"
 MOST = 6  # photos with pictures, the worst
@@ -46,7 +46,7 @@ def quoted(run: FinishedRun) -> Judged:
     with understood(path, WAY_OUT):
         return Judged(
             scores,
-            {name: Symptoms(**typed_fields(Symptoms, each)) for name, each in contents["symptoms"].items()},
+            {name: _symptoms(each) for name, each in contents["symptoms"].items()},
             {name: _exhibit(each) for name, each in contents["pictures"].items()},
             None if contents["best"] is None else _exhibit(contents["best"]),
             hasty=hasty,
@@ -55,6 +55,11 @@ def quoted(run: FinishedRun) -> Judged:
 
 def _as_json(exhibit: Exhibit) -> dict[str, Any]:
     return asdict(exhibit) | {"error": ""}
+
+
+def _symptoms(contents: Mapping[str, Any]) -> Symptoms:
+    """Returns symptoms from JSON values. Older files have more of them, which do not count."""
+    return Symptoms(**{f.name: typed(contents[f.name], bool, f.name) for f in fields(Symptoms)})
 
 
 def _exhibit(contents: Mapping[str, Any]) -> Exhibit:

@@ -48,7 +48,6 @@ class Pages:
 def judged_of(results: Results, seen: Judged) -> Judged:
     """Returns the photos by which the report judges a run.
 
-    Those of a trial run are also compared in sharpness with the training photos, if their sizes are the same.
     If the exposure of photos was learned, they are judged by their colour-corrected PSNR: the exposure of a
     held-out photo is unknown.
 
@@ -79,14 +78,11 @@ def _quoted(results: Results, seen: Judged) -> Judged:
         return replace(seen, kind="held-out photos")
     if results.judge is None:
         return replace(seen, kind="photos that it was trained on")
-    trial = replace(
+    return replace(
         held_out.quoted(results.judge),
         kind="photos that a trial run held out",
         scene="the scene of the trial run",
     )
-    if trial.symptoms and same_size(results, results.judge):
-        trial = replace(trial, symptoms={**seen.symptoms, **trial.symptoms})
-    return trial
 
 
 def same_size(results: Results, judge: FinishedRun) -> bool:

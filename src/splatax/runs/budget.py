@@ -16,7 +16,7 @@ from splatax.bench.scenes import procedural
 from splatax.bench.timing import timed
 from splatax.cameras.lenses import Lens, Pinhole
 from splatax.training.capacity import GROWTH
-from splatax.training.recipes import COARSE, GROWING, Recipe
+from splatax.training.recipes import COARSE, GROWING, MOST, Recipe
 
 DEFAULT_BUDGET = "6min"  # of training, where neither a time nor a number of steps is given
 PROBES = (20_000, 80_000)  # Gaussians; steps are linear in them
@@ -184,6 +184,17 @@ class Bounds:
 def longest_run(views: int) -> int:
     """Returns the most steps of a run for a time, from the number of its training views."""
     return max(MOST_VISITS * views, FEWEST_STEPS)
+
+
+def bounds_of(views: int, most: int, fit: int | float) -> Bounds:
+    """Returns the upper limits of a plan for a capture.
+
+    Args:
+        views: number of its training views.
+        most: number of Gaussians of a run of few steps.
+        fit: number of Gaussians that there is memory for.
+    """
+    return Bounds(most, int(min(DENSEST * most, fit, max(MOST, most))), longest_run(views))
 
 
 def plan(costs: Costs, seconds: int | float, first: int, bounds: Bounds, most: int | None = None) -> Plan:

@@ -1,14 +1,15 @@
 """Compares penalties on geometry and on the scene by photos and points that were held out from training.
 
-python docs/measure_geometry.py CAPTURES [VARIANTS [STEPS [DOWNSCALE [SEED]]]]
+python docs/measure_geometry.py CAPTURES [VARIANTS [STEPS [DOWNSCALE [SEED [FIRST]]]]]
     CAPTURES    folders with commas; "demo" is the synthetic still life at its own size
     VARIANTS    names of `VARIANTS` with semicolons; "all", the default, stands for all of them
     STEPS       of each run, 500 by default
     DOWNSCALE   of the photos in folders, 4 by default
     SEED        of the runs, 0 by default
+    FIRST       number of the first photo that is held out, 3 by default
 
-Every sixth training photo, from the third, and a fifth of the points are held out: runs start from the
-other points, and have only these as landmarks. The capture's own held-out photos are not used. PSNR is the
+Every sixth training photo and a fifth of the points are held out: runs start from the other points, and have
+only these as landmarks. The capture's own held-out photos are not used. PSNR is the
 mean over the photos; in brackets follow the median over them of the difference from the first variant, and
 the photo that loses most. Errors and biases of depth are relative to the depth: medians over the held-out
 points of a held-out photo, then means over photos. Where the truth is known, the errors and biases over all
@@ -40,7 +41,7 @@ from splatax.training.geometry import NoGeometry, Surfaces
 from splatax.training.priors import Flatness, Priors, Sparsity
 from splatax.training.recipes import Recipe, default, discs, room_for
 
-DEFAULTS = "all", 500, 4, 0  # variants, steps, downscale and seed
+DEFAULTS = "all", 500, 4, 0, 3  # variants, steps, downscale, seed and first photo
 PHOTOS, POINTS = 6, 5  # one of so many is held out
 COLORS = 3  # channels of a photo; penalties on geometry blend more
 
@@ -57,9 +58,32 @@ def of(build: Variant = default, **parts: Any) -> Variant:
     return variant
 
 
-def surfaces(*weights: float, **settings: float) -> Variant:
+def surfaces(**settings: float) -> Variant:
     """Returns `default` with the penalties of `--geometry`, with other settings."""
-    return of(geometry=Surfaces(*weights, **settings))
+    return of(geometry=Surfaces(**settings))
+
+
+def weighed(
+    spread: float,
+    consistency: float,
+    points: float,
+    limit: float = Surfaces.consistency_limit,
+    after: float = 0,
+) -> Variant:
+    """Returns `default` with penalties of these weights, and this limit of the consistency of normals."""
+    return surfaces(
+        spread=spread, consistency=consistency, points=points, consistency_limit=limit, after=after
+    )
+
+
+def depths(spread: float = 0.1, points: float = 0.6, **settings: float) -> Surfaces:
+    """Returns penalties on depths alone, with the weights that `--geometry` had before it had normals."""
+    return Surfaces(spread, 0.0, points, **{"after": 0.0, **settings})
+
+
+def only(spread: float = 0.1, points: float = 0.6, **settings: float) -> Variant:
+    """Returns `default` with penalties on depths alone."""
+    return of(geometry=depths(spread, points, **settings))
 
 
 def pulling(factor: float, variant: Variant) -> Variant:
@@ -87,22 +111,39 @@ def pulling(factor: float, variant: Variant) -> Variant:
 VARIANTS: dict[str, Variant] = {
     "default": default,
     "--geometry": surfaces(),
-    "0.1, 0.2 without limits": surfaces(points=0.2, spread_limit=inf, points_limit=inf),
-    "0.02, 0.02 without limits": surfaces(0.02, points=0.02, spread_limit=inf, points_limit=inf),
-    "0.1, 0.2": surfaces(points=0.2, points_limit=0.02),
-    "0.05, 0.4": surfaces(0.05, points=0.4, points_limit=0.02),
-    "0.1, 0.4": surfaces(points=0.4, points_limit=0.02),
-    "0.1, 0.8": surfaces(points=0.8, points_limit=0.02),
-    "half": surfaces(0.05, points=0.3),
-    "quarter": surfaces(0.025, points=0.15),
-    "--geometry-after 0.2": surfaces(after=0.2),
-    "--geometry-after 0.4": surfaces(after=0.4),
-    "0.05, 2.4 after 0.4": surfaces(0.05, points=2.4, after=0.4),
-    "spread only": surfaces(points=0.0),
-    "points only": surfaces(spread=0.0),
-    "splats x 0.3": pulling(0.3, surfaces()),
-    "planes only": pulling(0.0, surfaces()),
-    "planes only, without limits": pulling(0.0, surfaces(points=0.2, spread_limit=inf, points_limit=inf)),
+    "--geometry-after 0": surfaces(after=0.0),
+    "0.06, 0.2, 0.9 after 0.4": weighed(0.06, 0.2, 0.9, after=0.4),
+    "0.04, 0.15, 0.6 after 0.4": weighed(0.04, 0.15, 0.6, after=0.4),
+    "0.025, 0.15, 0.8 after 0.4": weighed(0.025, 0.15, 0.8, after=0.4),
+    "0.025, 0.1, 0.4 after 0.2": weighed(0.025, 0.1, 0.4, after=0.2),
+    "0.025, 0.1, 0.4 after 0.4": weighed(0.025, 0.1, 0.4, after=0.4),
+    "0.025, 0.1, 0.4": weighed(0.025, 0.1, 0.4),
+    "0.05, 0.02, 0.3 without limit": weighed(0.05, 0.02, 0.3, inf),
+    "0.05, 0.05, 0.3 within 0.05": weighed(0.05, 0.05, 0.3, 0.05),
+    "0.05, 0.1, 0.3 within 0.05": weighed(0.05, 0.1, 0.3, 0.05),
+    "0.025, 0.1, 0.3 within 0.05": weighed(0.025, 0.1, 0.3, 0.05),
+    "0.025, 0.1, 0.15": weighed(0.025, 0.1, 0.15),
+    "0.025, 0.1, 0.3": weighed(0.025, 0.1, 0.3),
+    "0.025, 0.1, 0.6": weighed(0.025, 0.1, 0.6),
+    "0.0125, 0.1, 0.3": weighed(0.0125, 0.1, 0.3),
+    "0, 0.1, 0.3": weighed(0.0, 0.1, 0.3),
+    "0.1, 0.6": only(),
+    "0.1, 0.2 without limits": only(points=0.2, spread_limit=inf, points_limit=inf),
+    "0.02, 0.02 without limits": only(0.02, 0.02, spread_limit=inf, points_limit=inf),
+    "0.1, 0.2": only(points=0.2, points_limit=0.02),
+    "0.05, 0.4": only(0.05, 0.4, points_limit=0.02),
+    "0.1, 0.4": only(points=0.4, points_limit=0.02),
+    "0.1, 0.8": only(points=0.8, points_limit=0.02),
+    "0.05, 0.3": only(0.05, 0.3),
+    "0.025, 0.15": only(0.025, 0.15),
+    "0.1, 0.6 after 0.2": only(after=0.2),
+    "0.1, 0.6 after 0.4": only(after=0.4),
+    "0.05, 2.4 after 0.4": only(0.05, 2.4, after=0.4),
+    "spread only": only(points=0.0),
+    "points only": only(spread=0.0),
+    "splats x 0.3": pulling(0.3, only()),
+    "planes only": pulling(0.0, only()),
+    "planes only, without limits": pulling(0.0, only(points=0.2, spread_limit=inf, points_limit=inf)),
     "opacity penalty 0": of(prior=Sparsity(opacity=0.0)),
     "opacity penalty 0.01": of(prior=Sparsity()),
     "opacity penalty 0.03": of(prior=Sparsity(opacity=0.03)),
@@ -112,21 +153,25 @@ VARIANTS: dict[str, Variant] = {
     "flatness 0.1": of(prior=Priors((Sparsity(), Flatness(0.1)))),
     "flatness": of(prior=Priors((Sparsity(), Flatness()))),
     "flatness, opacity penalty 0": of(prior=Priors((Sparsity(opacity=0.0), Flatness()))),
-    "--geometry, opacity penalty 0.01": of(surfaces(), prior=Sparsity()),
-    "--geometry, opacity penalty 0": of(surfaces(), prior=Sparsity(opacity=0.0)),
-    "--geometry, flatness": of(surfaces(), prior=Priors((Sparsity(), Flatness()))),
+    "0.1, 0.6, opacity penalty 0.01": of(only(), prior=Sparsity()),
+    "0.1, 0.6, opacity penalty 0": of(only(), prior=Sparsity(opacity=0.0)),
+    "0.1, 0.6, flatness": of(only(), prior=Priors((Sparsity(), Flatness()))),
     "2dgs": discs,
     "2dgs --geometry": of(discs, geometry=Surfaces()),
+    "2dgs, 0.1, 0.6": of(discs, geometry=depths()),
     "2dgs without penalties": of(discs, geometry=NoGeometry()),
     "2dgs, distortion 0.03": of(discs, geometry=DiscGeometry(distortion=0.03)),
     "2dgs, distortion 0.3": of(discs, geometry=DiscGeometry(distortion=0.3)),
 }
 
 
-def main(captures: Sequence[str], names: Sequence[str], steps: int, downscale: int, seed: int) -> None:
+def main(
+    captures: Sequence[str], names: Sequence[str], steps: int, downscale: int, seed: int, held_out: int
+) -> None:
     for capture in captures:
         dataset = parted(
-            sx.demo_dataset() if capture == "demo" else sx.load_dataset(capture, downscale=downscale)
+            sx.demo_dataset() if capture == "demo" else sx.load_dataset(capture, downscale=downscale),
+            held_out,
         )
         first = None
         for name in names:
@@ -148,10 +193,10 @@ def main(captures: Sequence[str], names: Sequence[str], steps: int, downscale: i
             )
 
 
-def parted(whole: Dataset) -> Dataset:
+def parted(whole: Dataset, first: int = DEFAULTS[-1]) -> Dataset:
     """Returns a capture that has training photos and points held out for evaluation."""
     views = tuple(sorted(whole.train, key=lambda view: view.name))
-    held_out = views[PHOTOS // 2 - 1 :: PHOTOS]
+    held_out = views[first - 1 :: PHOTOS]
     kept = ~chosen(whole.points.positions)
     return replace(
         whole,
@@ -209,8 +254,8 @@ def biases_of(scene: sx.Gaussians, view: View, recipe: Recipe) -> list[float]:
 
 
 if __name__ == "__main__":
-    asked, total, smaller, chance = (*sys.argv[2:], *DEFAULTS[len(sys.argv[2:]) :])
+    asked, total, smaller, chance, start = (*sys.argv[2:], *DEFAULTS[len(sys.argv[2:]) :])
     named = list(VARIANTS) if asked == "all" else str(asked).split(";")
     if unknown := {*named} - {*VARIANTS}:
         sys.exit(f"no such variants: {', '.join(sorted(unknown))}. There are: {'; '.join(VARIANTS)}.")
-    main(sys.argv[1].split(","), named, int(total), int(smaller), int(chance))
+    main(sys.argv[1].split(","), named, int(total), int(smaller), int(chance), int(start))

@@ -35,9 +35,8 @@ LOOK_AT, DISTANCE, FIELD = np.array([0.0, 0, 0.42]), 1.55, 42.0
 TRAINED = np.array([0.3, 0.35, -0.5, 0.4])  # joints of the pose that the twin is trained in
 REACH = np.array([1.0, 0.7, 0.8, 0.9])  # largest change of a joint from it, radians
 SENSORS = {"rgb": Color(), "depth": Depth(), "labels": Labels()}
-SURFACES = Surfaces(
-    points=2.0, points_limit=0.03
-)  # a depth camera measures every pixel, without wrong points
+# A depth camera measures every pixel, without wrong points.
+SURFACES = Surfaces(spread=0.1, consistency=0.0, points=2.0, points_limit=0.03, after=0.0)
 LOW_PASS = sx.Antialiasing(0.1)  # about a pixel's area; a wider blur makes boxes shrink by half a pixel
 PICTURE = Path(__file__).parent / "images" / "twins.jpg"
 

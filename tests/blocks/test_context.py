@@ -77,7 +77,7 @@ def test_gradients_in_context_are_those_of_the_whole_scene(low_pass, surfaces, b
     if low_pass:
         how = replace(how, drawing=replace(how.drawing, low_pass=low_pass))
     if surfaces:
-        how = replace(how, objective=replace(how.objective, geometry=Surfaces(consistency=0.1)))
+        how = replace(how, objective=replace(how.objective, geometry=Surfaces(consistency=0.1, after=0.0)))
     photo = jnp.asarray(np.random.default_rng(3).integers(0, 255, (24, 32, 3), np.uint8))
     batch, key = Batch(camera_at(0.2), photo), jax.random.key(0)
     state = first_state(OWN, how, 2.0, 4)

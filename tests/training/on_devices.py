@@ -67,7 +67,7 @@ def recipe() -> sx.Recipe:
         weighed = replace(made.objective, weights=RobustWeights(since=0.25, least=1.02, spreads=0.1))
         made = replace(made, appearance=Exposure(), camera_refinement=Poses(), objective=weighed)
     if options.geometry:
-        made = replace(made, objective=replace(made.objective, geometry=Surfaces()))
+        made = replace(made, objective=replace(made.objective, geometry=Surfaces(after=0.0)))
     return with_views(replace(made.on("cpu"), sh=ShSchedule(1, 2)), VIEWS)
 
 

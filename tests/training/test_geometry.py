@@ -24,7 +24,7 @@ from training.test_training import RECIPE, capture
 
 CAMERA = camera_at((0.3, 0.2, -3.0), size=(32, 24))
 FRONT = np.array([0.0, 0.0, -1.0])
-SURFACES = Surfaces(spread=0.3, consistency=0.2, points=0.4)
+SURFACES = Surfaces(spread=0.3, consistency=0.2, points=0.4, after=0.0)
 
 
 def test_the_spread_of_two_layers_is_their_standard_deviation():
@@ -54,6 +54,7 @@ def test_one_layer_has_no_spread_and_is_consistent():
     assert abs(inconsistency(drawn.facing, drawn.surface_depth, camera)) < 1e-5
     tilted = drawn.facing.at[..., :3].set(0.5 * drawn.facing[..., :3])  # a cosine of 1 / 2
     assert_allclose(inconsistency(tilted, drawn.surface_depth, camera), 0.5, atol=1e-3)
+    assert_allclose(inconsistency(tilted, drawn.surface_depth, camera, limit=0.5), 0.25, atol=1e-3)
 
 
 @pytest.mark.slow
@@ -147,7 +148,7 @@ def test_a_step_adds_the_penalty_and_its_gradient_to_those_of_the_photo():
     plain, without = step(recipe.objective.geometry)
     total, found = step(SURFACES)
     value, gradient = jax.jit(jax.value_and_grad(penalty))(state.gaussians)
-    assert value > 0.01
+    assert value > 0.005
     assert_allclose(total, plain + value, rtol=1e-5)
     for whole, photo, part in zip(*map(jax.tree.leaves, (found, without, gradient)), strict=True):
         assert_allclose(whole, photo + part, atol=1e-3 * max(float(jnp.abs(whole).max()), 1e-6))
@@ -182,7 +183,7 @@ def test_training_with_surfaces_moves_the_drawn_depth_to_the_landmarks():
     recipe = replace(RECIPE, steps=12)
     errors = []
     for weight in (0.0, 5.0):
-        objective = Objective(geometry=Surfaces(0.0, 0.0, weight, points_limit=1.0))
+        objective = Objective(geometry=Surfaces(0.0, 0.0, weight, points_limit=1.0, after=0.0))
         trained = sx.fit(replace(dataset, train=views), replace(recipe, objective=objective))
         depth = sx.render(trained, views[0].camera, outputs=("surface_depth",)).surface_depth
         errors.append(error_at(jnp.asarray(points), depth, views[0].camera))
@@ -192,13 +193,15 @@ def test_training_with_surfaces_moves_the_drawn_depth_to_the_landmarks():
 def test_penalties_that_begin_late_grow_to_their_weights_within_a_tenth_of_the_run():
     camera = camera_at((0.0, 0.0, -4.0), size=(8, 6))
     layers = Layers(jnp.full((6, 8), 4.0), jnp.full((6, 8), 0.02), jnp.zeros((6, 8)))
+    facing = jnp.zeros((6, 8, 4)).at[..., 3].set(1.0)
     landmarks = jnp.array([[0.0, 0.0, 1.0]])
 
     def penalty(surfaces, progress):
-        return surfaces({"layers": layers}, TrainingView(camera, landmarks, jnp.float32(progress)))
+        images = {"layers": layers, "facing": facing}
+        return surfaces(images, TrainingView(camera, landmarks, jnp.float32(progress)))
 
-    whole = penalty(Surfaces(), 0.0)
-    assert whole > 0.1 * 0.02 / 1.4 * 0.99
+    whole = penalty(Surfaces(after=0.0), 0.0)
+    assert whole > Surfaces.spread * 0.02 / 1.4 * 0.99
     for progress, fraction in ((0.0, 0), (0.4, 0), (0.45, 0.5), (0.5, 1), (1.0, 1)):
         assert_allclose(penalty(Surfaces(after=0.4), progress), fraction * whole, rtol=1e-5)
     for progress, fraction in ((0.95, 0), (0.975, 0.5), (1.0, 1)):  # there is less than a tenth left

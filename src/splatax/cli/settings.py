@@ -83,7 +83,7 @@ class Settings:
     city: Path | None = None  # folder of a plan, for the run of one of its blocks
     block: int = 0
     geometry: bool = False
-    geometry_after: float = 0.0
+    geometry_after: float | None = None
     photo_weights: PhotoWeightsName = "auto"
     backend: BackendName = "auto"
     seed: int = 0
@@ -107,9 +107,10 @@ class Settings:
             value = getattr(self, name)
             if value != "auto" and not value >= least:
                 raise InputError(f"{flag(name)}: at least {least}, not {value}.")
-        if not 0 <= self.geometry_after < 1:
-            raise InputError(f"{flag('geometry_after')}: from 0 to below 1, not {self.geometry_after}.")
-        if self.geometry_after and not self.geometry:
+        late = self.geometry_after
+        if late is not None and not 0 <= late < 1:
+            raise InputError(f"{flag('geometry_after')}: from 0 to below 1, not {late}.")
+        if late is not None and not self.geometry:
             raise InputError(f"{flag('geometry_after')} is about {flag('geometry')}: give that too.")
         for name, read in (("budget", parse_seconds), ("memory", parse_bytes), ("low_pass", low_pass_of)):
             if (text := getattr(self, name)) is not None:
@@ -151,9 +152,8 @@ class Settings:
         preset = PRESETS[self.recipe]
         recipe = preset.build(steps=self.steps, max_gaussians=self.most(dataset), views=self.views)
         if self.geometry:
-            recipe = replace(
-                recipe, objective=replace(recipe.objective, geometry=Surfaces(after=self.geometry_after))
-            )
+            late = Surfaces.after if self.geometry_after is None else self.geometry_after
+            recipe = replace(recipe, objective=replace(recipe.objective, geometry=Surfaces(after=late)))
         weights = PHOTO_WEIGHTS[self.weighing(dataset)]
         recipe = replace(recipe, objective=replace(recipe.objective, weights=weights))
         drawing = replace(

@@ -7,8 +7,8 @@
 E is the mean over the Gaussians at a pixel, weighted like colour; w the inverse depth of a Gaussian's plane
 at the pixel, n its normal, and N the normal of the depth image 1 / E[w].
 
-Spread and points saturate: a spread or an error e counts as e / (1 + e / limit). Edges of objects, thin and
-transparent objects, and wrong points have large errors that no scene can avoid, and get small gradients.
+All three saturate: an error e counts as e / (1 + e / limit). Edges of objects, thin, rough and transparent
+objects, and wrong points have large errors that no scene can avoid, and get small gradients.
 """
 
 import math
@@ -59,20 +59,23 @@ class Surfaces:
             (Huang et al. 2024, Eq. 14).
         points: weight of the relative error of inverse depth at landmarks.
         spread_limit: spread to which a larger one tends in the penalty, see `saturated`.
+        consistency_limit: 1 minus the cosine to which a larger one tends in the penalty.
         points_limit: relative error of inverse depth to which a larger one tends in the penalty.
         after: fraction of the run, below 1, before which the penalties are zero. They grow from there to
-            their weights within a tenth of the run, or until its end.
+            their weights within a tenth of the run, or until its end. Real captures keep more of their PSNR
+            than with weaker penalties from the start.
 
     Raises:
         ValueError: if `after` is not from 0 to below 1.
     """
 
-    spread: float = 0.1
-    consistency: float = 0.0
+    spread: float = 0.04
+    consistency: float = 0.15
     points: float = 0.6
     spread_limit: float = 0.05
+    consistency_limit: float = 0.02
     points_limit: float = 0.01
-    after: float = 0.0
+    after: float = 0.3
 
     def __post_init__(self) -> None:
         if not 0 <= self.after < 1:
@@ -95,7 +98,8 @@ class Surfaces:
         depth, spread, _ = images["layers"]
         penalty = self.spread * mean_over(saturated(spread, self.spread_limit), seen.camera)
         if self.consistency:
-            penalty += self.consistency * inconsistency(images["facing"], depth, seen.camera)
+            limit = self.consistency_limit
+            penalty += self.consistency * inconsistency(images["facing"], depth, seen.camera, limit=limit)
         if self.points and seen.landmarks is not None:
             penalty += self.points * error_at(seen.landmarks, depth, seen.camera, limit=self.points_limit)
         if not self.after:
@@ -116,7 +120,7 @@ def saturated(error: Float[Array, "*shape"], limit: float) -> Float[Array, "*sha
 
 
 def inconsistency(
-    facing: Float[Array, "h w 4"], depth: Float[Array, "h w"], camera: Camera
+    facing: Float[Array, "h w 4"], depth: Float[Array, "h w"], camera: Camera, *, limit: float = math.inf
 ) -> Float[Array, ""]:
     """Returns the mean of alpha (1 - E[n] . N), where N is the normal of the depth image.
 
@@ -126,11 +130,12 @@ def inconsistency(
         facing: sums of weighted normals, and alpha.
         depth: depth by the lens, world units; 0 where nothing is.
         camera: of the view.
+        limit: to which the value of a pixel tends, see `saturated`.
     """
     normal = normals_of(camera, depth)
     exists = jnp.any(normal != 0, axis=-1)
     cosine = jnp.sum(facing[..., :3] * normal, axis=-1)
-    return mean_over(jnp.where(exists, facing[..., 3] - cosine, 0), camera)
+    return mean_over(jnp.where(exists, saturated(facing[..., 3] - cosine, limit), 0), camera)
 
 
 def error_at(

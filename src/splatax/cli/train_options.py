@@ -137,13 +137,12 @@ class Method:
     photos; they are also scored with poses adjusted to them. By default none."""
     geometry: Annotated[bool, shown_as()] = False
     """Make the Gaussians lie on surfaces, for accurate depth, normals and meshes. Adds penalties on the
-    spread of depth along each ray, and on depths that differ from those of the capture's own points or depth
-    maps. Training takes 1.5 to 2.7 times as long, and PSNR is 0 to 0.9 dB lower. With the recipe 2dgs they
-    replace its own penalties. By default off."""
+    spread of depth along each ray, on normals that differ from those of the depth image, and on depths that
+    differ from those of the capture's own points or depth maps. A step takes 2 to 3.4 times as long, and PSNR
+    is 0 to 0.5 dB lower. With the recipe 2dgs they replace its own penalties. By default off."""
     geometry_after: Annotated[float | None, shown_as("FRACTION")] = None
-    """Fraction of the run after which the penalties of --geometry begin. With 0.4, the two
-    captures that were measured lost at most 0.3 dB, with depths that are a little less accurate. Training
-    takes as long as with --geometry alone. By default 0."""
+    """Fraction of the run after which the penalties of --geometry begin. Later, photos are matched better and
+    depths and normals are less accurate; with 0, the reverse. By default 0.3."""
     seed: Count = None
     """Random seed. Runs with the same seed, machine and options produce identical scenes. By default 0."""
 

@@ -68,7 +68,7 @@ def weighed(
     consistency: float,
     points: float,
     limit: float = Surfaces.consistency_limit,
-    after: float = 0,
+    after: float = 0.0,
 ) -> Variant:
     """Returns `default` with penalties of these weights, and this limit of the consistency of normals."""
     return surfaces(

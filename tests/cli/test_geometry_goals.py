@@ -52,11 +52,9 @@ def test_the_demo_has_accurate_depth_normals_and_mesh_and_a_good_picture(tmp_pat
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["fern", "fox"])
 def test_surfaces_of_a_real_capture_are_better_at_points_that_were_held_out_and_cost_little(data, name):
-    """The runs of docs/geometry.md with 1,000 steps at a quarter of the size, with seed 0.
+    """The penalties cost 0.08 dB on fern and 0.26 dB on fox, most of it in one photo, when this was written.
 
-    There, with an opacity penalty of 0.01, the penalties cost 0.19 and 0.25 dB on fern and 0.31 and 0.35 dB
-    on fox, and divide the error of surface_depth by 6.6 and 7.5 on fern and by 4.5 and 3.9 on fox. Now the
-    error of `default` is smaller, by a factor of 1.7 and 1.5.
+    They divided the error of surface_depth by 3.1 and 2.0, and that of median_surface_depth by 1.1 and 1.2.
     """
     capture = data / name
     if not capture.is_dir():
@@ -70,7 +68,7 @@ def test_surfaces_of_a_real_capture_are_better_at_points_that_were_held_out_and_
         psnr.append(sx.evaluate(scene, dataset.test).psnr)
         depths = against_landmarks(scene, dataset.test).mean.depths
         errors.append([depths[output].relative for output in OF_PLANES])
-    assert psnr[1] >= psnr[0] - 0.5
+    assert psnr[1] >= psnr[0] - 0.4
     surface, median = np.divide(*errors)
-    assert surface >= 2
+    assert surface >= 1.7
     assert median >= 0.9

@@ -9,10 +9,10 @@ python docs/measure_geometry.py CAPTURES [VARIANTS [STEPS [DOWNSCALE [SEED [FIRS
     FIRST       number of the first photo that is held out, 3 by default
 
 Every sixth training photo and a fifth of the points are held out: runs start from the other points, and have
-only these as landmarks. The capture's own held-out photos are not used. PSNR is the
-mean over the photos; in brackets follow the median over them of the difference from the first variant, and
-the photo that loses most. Errors and biases of depth are relative to the depth: medians over the held-out
-points of a held-out photo, then means over photos. Where the truth is known, the errors and biases over all
+only these as landmarks. The capture's own held-out photos are not used. PSNR is the mean over the photos; in
+brackets follow the median over them of the difference from the first variant, and the photo that loses most.
+Errors and biases of depth are relative to the depth: medians over the held-out points of a held-out photo,
+then means over photos. Where the truth is known, the errors and biases over all
 pixels of these photos follow, in world units. The script prints a line for each run, for the tables of
 docs/geometry.md.
 """

@@ -80,6 +80,9 @@ def test_options_decide_over_the_recipe_and_nothing_else_does(capture):
     assert surfaces == replace(plain, objective=replace(plain.objective, geometry=Surfaces()))
     later = Settings(capture, geometry=True, geometry_after=0.4).to_recipe(dataset)
     assert later == replace(plain, objective=replace(plain.objective, geometry=Surfaces(after=0.4)))
+    from_the_start = Settings(capture, geometry=True, geometry_after=0.0).to_recipe(dataset)
+    assert from_the_start == replace(plain, objective=replace(plain.objective, geometry=Surfaces(after=0.0)))
+    Settings(capture, geometry_after=0.0).check()  # older runs without --geometry recorded it
     sky = Settings(capture, sky=True).to_recipe(dataset)
     assert sky == replace(plain, initialization=WithSky(plain.initialization))
     classic = Settings(capture, recipe="classic").to_recipe(dataset)

@@ -110,7 +110,7 @@ class Settings:
         late = self.geometry_after
         if late is not None and not 0 <= late < 1:
             raise InputError(f"{flag('geometry_after')}: from 0 to below 1, not {late}.")
-        if late is not None and not self.geometry:
+        if late and not self.geometry:
             raise InputError(f"{flag('geometry_after')} is about {flag('geometry')}: give that too.")
         for name, read in (("budget", parse_seconds), ("memory", parse_bytes), ("low_pass", low_pass_of)):
             if (text := getattr(self, name)) is not None:

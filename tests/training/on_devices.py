@@ -15,7 +15,7 @@ parser.add_argument("--devices", type=int, nargs="+", default=[8], help="a run f
 parser.add_argument("--per-photo", action="store_true", help="with exposures, refined poses and weights")
 parser.add_argument("--apart", action="store_true", help="with points that most photos do not show")
 parser.add_argument("--packed", action="store_true", help="as devices that do not share their memory")
-parser.add_argument("--geometry", action="store_true", help="with penalties on surfaces")
+parser.add_argument("--geometry", action="store_true", help="with penalties on depths")
 parser.add_argument("--bytes", action="store_true", help="print what a step exchanges instead of training")
 parser.add_argument("--refinement", action="store_true", help="print what a refinement needs, likewise")
 parser.add_argument("--resume", action="store_true", help="from half of the run on the devices before")
@@ -67,7 +67,7 @@ def recipe() -> sx.Recipe:
         weighed = replace(made.objective, weights=RobustWeights(since=0.25, least=1.02, spreads=0.1))
         made = replace(made, appearance=Exposure(), camera_refinement=Poses(), objective=weighed)
     if options.geometry:
-        made = replace(made, objective=replace(made.objective, geometry=Surfaces(after=0.0)))
+        made = replace(made, objective=replace(made.objective, geometry=Surfaces(consistency=0.0, after=0.0)))
     return with_views(replace(made.on("cpu"), sh=ShSchedule(1, 2)), VIEWS)
 
 

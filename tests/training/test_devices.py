@@ -117,7 +117,7 @@ def test_a_scene_that_all_devices_own_a_part_of_is_the_same_bits_on_1_2_4_and_8(
 @needs_cpu
 @pytest.mark.slow
 def test_all_parts_of_a_recipe_together_have_the_same_bits_on_1_and_8_devices():
-    """Penalties on surfaces, exposures, poses and weights of photos in one run."""
+    """Penalties on depths, exposures, poses and weights of photos in one run."""
     found = trained("classic", "--per-photo", "--geometry", "--devices", "1", "8")
     assert found[8].owners == 8
     assert found[8].has_grown

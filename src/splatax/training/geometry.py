@@ -56,7 +56,7 @@ class Surfaces:
     Attributes:
         spread: weight of the standard deviation of inverse depth along each ray, relative to its mean.
         consistency: weight of 1 minus the cosine between the Gaussians' normals and that of the depth image
-            (Huang et al. 2024, Eq. 14).
+            (Huang et al. 2024, Eq. 14). Its gradient is rounded differently on other numbers of devices.
         points: weight of the relative error of inverse depth at landmarks.
         spread_limit: spread to which a larger one tends in the penalty, see `saturated`.
         consistency_limit: 1 minus the cosine to which a larger one tends in the penalty.

@@ -58,11 +58,6 @@ def of(build: Variant = default, **parts: Any) -> Variant:
     return variant
 
 
-def surfaces(**settings: float) -> Variant:
-    """Returns `default` with the penalties of `--geometry`, with other settings."""
-    return of(geometry=Surfaces(**settings))
-
-
 def weighed(
     spread: float,
     consistency: float,
@@ -71,9 +66,7 @@ def weighed(
     after: float = 0.0,
 ) -> Variant:
     """Returns `default` with penalties of these weights, and this limit of the consistency of normals."""
-    return surfaces(
-        spread=spread, consistency=consistency, points=points, consistency_limit=limit, after=after
-    )
+    return of(geometry=Surfaces(spread, consistency, points, consistency_limit=limit, after=after))
 
 
 def depths(spread: float = 0.1, points: float = 0.6, **settings: float) -> Surfaces:
@@ -110,8 +103,7 @@ def pulling(factor: float, variant: Variant) -> Variant:
 
 VARIANTS: dict[str, Variant] = {
     "default": default,
-    "--geometry": surfaces(),
-    "--geometry-after 0": surfaces(after=0.0),
+    "--geometry": of(geometry=Surfaces()),
     "0.06, 0.2, 0.9 after 0.4": weighed(0.06, 0.2, 0.9, after=0.4),
     "0.04, 0.15, 0.6 after 0.4": weighed(0.04, 0.15, 0.6, after=0.4),
     "0.025, 0.15, 0.8 after 0.4": weighed(0.025, 0.15, 0.8, after=0.4),
@@ -130,20 +122,11 @@ VARIANTS: dict[str, Variant] = {
     "0.1, 0.6": only(),
     "0.1, 0.2 without limits": only(points=0.2, spread_limit=inf, points_limit=inf),
     "0.02, 0.02 without limits": only(0.02, 0.02, spread_limit=inf, points_limit=inf),
-    "0.1, 0.2": only(points=0.2, points_limit=0.02),
-    "0.05, 0.4": only(0.05, 0.4, points_limit=0.02),
-    "0.1, 0.4": only(points=0.4, points_limit=0.02),
-    "0.1, 0.8": only(points=0.8, points_limit=0.02),
     "0.05, 0.3": only(0.05, 0.3),
-    "0.025, 0.15": only(0.025, 0.15),
-    "0.1, 0.6 after 0.2": only(after=0.2),
-    "0.1, 0.6 after 0.4": only(after=0.4),
-    "0.05, 2.4 after 0.4": only(0.05, 2.4, after=0.4),
     "spread only": only(points=0.0),
     "points only": only(spread=0.0),
     "splats x 0.3": pulling(0.3, only()),
     "planes only": pulling(0.0, only()),
-    "planes only, without limits": pulling(0.0, only(points=0.2, spread_limit=inf, points_limit=inf)),
     "opacity penalty 0": of(prior=Sparsity(opacity=0.0)),
     "opacity penalty 0.01": of(prior=Sparsity()),
     "opacity penalty 0.03": of(prior=Sparsity(opacity=0.03)),

@@ -225,9 +225,9 @@ def normals_of(camera: Camera, depth: Float[Array, "h w"]) -> Float[Array, "h w 
 
 
 def _beside(values: Array, axis: int, end: int | Array) -> tuple[Array, Array]:
-    """Returns the values of the next and of the previous pixels along an axis; at the border, its own.
+    """Returns the values of the next and of the previous pixels along an axis. A border pixel gets its own.
 
-    They are slices, because the gradient of a gather is slower.
+    The values are slices, because the gradient of a gather is slower.
     """
     first, last = (jax.lax.slice_in_dim(values, i, j, axis=axis) for i, j in ((0, 1), (-1, None)))
     rest, most = (jax.lax.slice_in_dim(values, i, j, axis=axis) for i, j in ((1, None), (0, -1)))

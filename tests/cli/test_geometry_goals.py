@@ -52,9 +52,9 @@ def test_the_demo_has_accurate_depth_normals_and_mesh_and_a_good_picture(tmp_pat
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["fern", "fox"])
 def test_surfaces_of_a_real_capture_are_better_at_points_that_were_held_out_and_cost_little(data, name):
-    """The penalties cost 0.08 dB on fern and 0.26 dB on fox, most of it in one photo, when this was written.
+    """The penalties cost 0.19 dB on fern and 0.16 dB on fox when this was written.
 
-    They divided the error of surface_depth by 3.1 and 2.0, and that of median_surface_depth by 1.1 and 1.2.
+    They divided the error of surface_depth by 4.2 and 2.5, and that of median_surface_depth by 1.1 and 1.3.
     """
     capture = data / name
     if not capture.is_dir():
@@ -63,12 +63,12 @@ def test_surfaces_of_a_real_capture_are_better_at_points_that_were_held_out_and_
     dataset = script["parted"](sx.load_dataset(capture, downscale=4))
     psnr, errors = [], []
     for variant in ("default", "--geometry"):
-        recipe = script["VARIANTS"][variant](1_000, script["room_for"](dataset))
+        recipe = script["VARIANTS"][variant](int(STEPS), script["room_for"](dataset))
         scene = sx.fit(dataset, recipe)
         psnr.append(sx.evaluate(scene, dataset.test).psnr)
         depths = against_landmarks(scene, dataset.test).mean.depths
         errors.append([depths[output].relative for output in OF_PLANES])
     assert psnr[1] >= psnr[0] - 0.4
     surface, median = np.divide(*errors)
-    assert surface >= 1.7
+    assert surface >= 2
     assert median >= 0.9

@@ -130,3 +130,8 @@ def test_no_photo_of_the_drawn_room_is_blurred_though_some_show_plain_walls():
     soft = dataset.views[5]
     pixels = ndimage.gaussian_filter(soft.pixels().astype(np.float32), (2, 2, 0))
     assert blurred({**found, soft.name: look(soft, np.round(pixels).astype(np.uint8))}) == [soft.name]
+
+
+def test_photos_that_cannot_be_read_are_not_called_blurred():
+    sharp = {f"{i:02}": Look(sharpness=100.0 + i) for i in range(12)}
+    assert blurred(sharp | {"12": Look(sharpness=3.0), "13": Look(unreadable="damaged")}) == ["12"]

@@ -141,8 +141,8 @@ class Method:
     differ from those of the capture's own points or depth maps. A step takes 2 to 3.4 times as long, and PSNR
     is 0 to 0.5 dB lower. With the recipe 2dgs they replace its own penalties. By default off."""
     geometry_after: Annotated[float | None, shown_as("FRACTION")] = None
-    """Fraction of the run after which the penalties of --geometry begin. Later, photos are matched better and
-    depths and normals are less accurate; with 0, the reverse. By default 0.3."""
+    """Fraction of the run after which the penalties of --geometry begin. A later start costs less PSNR, and
+    makes depths and normals less accurate. By default 0.3."""
     seed: Count = None
     """Random seed. Runs with the same seed, machine and options produce identical scenes. By default 0."""
 

@@ -29,8 +29,9 @@ def blurred(looks: Mapping[str, Look]) -> list[str]:
 
     If at least half of the photos show enough of the same points, photos are compared at these, and one that
     shows too few of them is not called blurred. Otherwise the sharpness of whole photos is compared, with a
-    larger tolerance.
+    larger tolerance. Photos that cannot be read are not called blurred.
     """
+    looks = {name: look for name, look in looks.items() if not look.unreadable}
     ratios = relative_details(looks)
     names = [name for name, ratio in ratios.items() if np.isfinite(ratio)]
     if len(names) >= max(FEWEST_TO_COMPARE, MEASURED * len(looks)):

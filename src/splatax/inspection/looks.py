@@ -166,11 +166,6 @@ def look_of(photo: Pixels, seen: SeenPoints | None = None) -> Look:
     )
 
 
-def sharpness(luminance: Float[np.ndarray, "h w"]) -> float:
-    """Returns the variance of the Laplacian (Pech-Pacheco et al. 2000)."""
-    return float(laplacian_of(luminance).var())
-
-
 def laplacian_of(luminance: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h-2 w-2"]:
     """Returns the Laplacian of a photo, without the pixels at the border."""
     g = luminance

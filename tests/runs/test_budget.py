@@ -1,5 +1,7 @@
 """Runs that are planned for a time."""
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 import pytest
@@ -13,13 +15,13 @@ from splatax.runs.budget import (
     Costs,
     coarse_size,
     longest_run,
-    mean_count,
     measured,
     parse_seconds,
     plan,
 )
 from splatax.runs.clock import Changes, Clock, Expected
-from splatax.training.recipes import Recipe
+from splatax.training.geometry import Surfaces
+from splatax.training.recipes import Objective, Recipe
 from splatax.training.resolution import Resolution
 
 FAST = Costs(Cost(0.004, 1e-7), Cost(0.010, 2e-7))
@@ -45,11 +47,19 @@ def test_a_plan_takes_the_time_that_it_is_given(costs, seconds):
     assert spent <= seconds < one_more
 
 
-def test_a_run_has_as_many_gaussians_in_the_mean_as_it_has_over_the_steps_of_its_coarse_half():
-    assert mean_count(1000, 1000) == 1000
-    steps = np.linspace(0, 0.5, 3001)
+@pytest.mark.parametrize("costs", [SLOW, replace(SLOW, plain=FAST, begins=0.3)])
+def test_a_run_takes_as_long_as_all_of_its_steps(costs):
+    steps = np.arange(3000) / 3000
     counts = 1000 * 64 ** np.minimum(3 * steps, 1)  # by equal factors in the first third
-    assert mean_count(1000, 64_000) == pytest.approx(counts.mean(), rel=0.01)
+    coarse, fine = (0.010, 5e-7), (0.020, 8e-7)
+    seconds = [
+        (0.004, 1e-7) if costs.plain and done < 0.3 else (coarse if done < 0.5 else fine) for done in steps
+    ]
+    whole = sum(base + each * count for (base, each), count in zip(seconds, counts, strict=True))
+    assert 3000 * costs.rest(0.0, 1000, 64_000) == pytest.approx(whole, rel=0.01)
+    assert costs.run(6000, 1000, 64_000) - costs.run(3000, 1000, 64_000) == pytest.approx(whole, rel=0.01)
+    late = sum(base + each * count for (base, each), count in list(zip(seconds, counts, strict=True))[1200:])
+    assert 3000 * costs.rest(0.4, 1000, 64_000) == pytest.approx(late, rel=0.01)
 
 
 def test_more_time_is_more_steps_and_more_gaussians_up_to_what_there_is_room_for():
@@ -175,6 +185,15 @@ def test_steps_of_this_machine_are_measured():
     for cost in (costs.coarse, costs.fine):
         assert cost.base > 0
         assert cost.each >= 0
+
+
+def test_steps_before_the_penalties_on_geometry_are_measured_too():
+    recipe = Recipe(objective=Objective(geometry=Surfaces(after=0.25)))
+    with jax.numpy_dtype_promotion("standard"):
+        costs = measured((40, 30), recipe)
+    assert costs.begins == 0.25
+    assert costs.plain is not None
+    assert costs.plain.fine != costs.fine
 
 
 def test_photos_are_smaller_at_first_unless_they_would_be_too_small():

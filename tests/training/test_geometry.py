@@ -127,7 +127,10 @@ def test_the_penalty_has_the_gradient_of_finite_differences(x64):
 def test_a_step_adds_the_penalty_and_its_gradient_to_those_of_the_photo():
     dataset, camera = capture(), capture().train[0].camera
     recipe = RECIPE.on(backends.resolve("auto"))
-    state = first_state(recipe.initialization(dataset, 1, 0), recipe, 1.0, 5)
+    scene = recipe.initialization(dataset, 1, 0)
+    axes = jax.random.normal(jax.random.key(1), (len(scene), 3))  # round Gaussians hide how they are turned
+    scene = replace(scene, log_scales=scene.log_scales + 0.5 * axes, quats=scene.quats + 0.3)
+    state = first_state(scene, recipe, 1.0, 5)
     landmarks = jnp.asarray(dataset.points.positions)
     batch = Batch(camera, jnp.asarray(dataset.train[0].pixels()), landmarks=landmarks)
 
@@ -209,6 +212,24 @@ def test_penalties_that_begin_late_grow_to_their_weights_within_a_tenth_of_the_r
     for after in (-0.1, 1.0, float("nan")):
         with pytest.raises(ValueError, match="from 0 to below 1"):
             Surfaces(after=after)
+
+
+def test_outputs_are_drawn_from_the_step_on_at_which_their_penalties_begin():
+    drawn, portable = [], backends.resolve("xla")
+
+    def composite(splats, channels):
+        if channels.shape[1] > 3:
+            jax.debug.callback(lambda: drawn.append(made))
+        return portable.composite(splats, channels)
+
+    kernels = replace(portable, name="telling", composite=composite)
+    objective = Objective(geometry=Surfaces(0.1, 0.0, 0.0, after=0.5))
+    made = 0
+    for progress in sx.optimize(capture(), replace(RECIPE.on(kernels), objective=objective, steps=4)):
+        jax.block_until_ready(progress.loss)
+        jax.effects_barrier()
+        made = progress.step
+    assert drawn == [2, 3]
 
 
 def test_landmarks_of_all_views_have_one_shape():

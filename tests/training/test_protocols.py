@@ -141,6 +141,10 @@ class Near:
     def outputs(self):
         return {"distance": sx.outputs.OUTPUTS["distance"]}
 
+    @property
+    def begins(self):
+        return 0.0
+
     def __call__(self, images, seen):
         return 0.1 * jnp.mean(jnp.square(images["distance"] - 4))
 

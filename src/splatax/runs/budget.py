@@ -6,9 +6,10 @@ statistics of trained ones. During the run, `splatax.runs.clock` corrects the nu
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float
 
 from splatax import backends
 from splatax.bench.operations import step as operation
@@ -80,15 +81,6 @@ def parse_seconds(text: str) -> float:
     return quantity(text, UNITS, "a time such as 90s, 5min or 1.5h")
 
 
-def mean_count(first: int, most: int) -> float:
-    """Returns the mean number of Gaussians in the coarse part of a run of the recipe `default`.
-
-    They grow by equal factors, and then stay as many as in the rest of the run.
-    """
-    growing = (most - first) / np.log(most / first) if most > first else most
-    return float(growing * COARSE + most * (GROWING - COARSE)) / GROWING
-
-
 @dataclass(frozen=True)
 class Cost:
     """Seconds that a step takes, as a linear function of the number of Gaussians."""
@@ -103,10 +95,26 @@ class Cost:
 
 @dataclass(frozen=True)
 class Costs:
-    """Costs of steps with photos of half size, and of full size."""
+    """Costs of steps with photos of half size, and of full size.
+
+    Attributes:
+        coarse: with half size.
+        fine: with full size.
+        plain: costs before the penalties on geometry begin; None if there are none, or from the start.
+        begins: fraction of the run after which they do.
+    """
 
     coarse: Cost
     fine: Cost
+    plain: "Costs | None" = None
+    begins: float = 0.0
+
+    def at(self, done: Float[np.ndarray, " k"], counts: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+        """Returns the seconds of steps at fractions of the run, with these numbers of Gaussians."""
+        steps = np.where(done < 1 / COARSE, self.coarse.step(counts), self.fine.step(counts))
+        if self.plain is None:
+            return steps
+        return np.where(done < self.begins, self.plain.at(done, counts), steps)
 
     def rest(self, done: float, first: int, most: int) -> float:
         """Returns the mean seconds of a step, times the fraction of the run that is left.
@@ -118,14 +126,12 @@ class Costs:
         """
         middles = done + (1 - done) * (np.arange(PARTS) + 0.5) / PARTS
         counts = first * (max(most, first) / first) ** np.minimum(middles * GROWING, 1)
-        steps = np.where(middles < 1 / COARSE, self.coarse.step(counts), self.fine.step(counts))
-        return float(steps.mean() * (1 - done))
+        return float(self.at(middles, counts).mean() * (1 - done))
 
     def run(self, steps: int, first: int, most: int) -> float:
         """Returns the seconds for a run of the recipe `default` that grows to `most` Gaussians."""
         programs = np.log(max(most / first, 1)) / np.log(GROWTH) + 2
-        coarse, fine = self.coarse.step(mean_count(first, most)), self.fine.step(most)
-        return float(steps * (coarse + (COARSE - 1) * fine) / COARSE + COMPILING * programs)
+        return float(steps * self.rest(0.0, first, most) + COMPILING * programs)
 
 
 def measured(size: tuple[int, int], recipe: Recipe, lens: Lens = Pinhole()) -> Costs:
@@ -137,8 +143,14 @@ def measured(size: tuple[int, int], recipe: Recipe, lens: Lens = Pinhole()) -> C
         lens: of the photos.
     """
     recipe = recipe.on(backends.resolve(recipe.drawing.backend))
-    fine, smaller = cost_of(size, recipe, lens), coarse_size(size, recipe)
-    return Costs(fine if smaller == size else cost_of(smaller, recipe, lens), fine)
+    begins = recipe.objective.geometry.begins
+
+    def costs(recipe: Recipe) -> Costs:
+        fine, smaller = cost_of(size, recipe, lens), coarse_size(size, recipe)
+        return Costs(fine if smaller == size else cost_of(smaller, recipe, lens), fine)
+
+    late = costs(recipe)
+    return replace(late, plain=costs(recipe.at(0.0)), begins=begins) if begins else late
 
 
 def coarse_size(size: tuple[int, int], recipe: Recipe) -> tuple[int, int]:

@@ -40,6 +40,11 @@ class DiscGeometry:
         """The moments of inverse depth and the normals."""
         return {"layers": LAYERS, "facing": FACING}
 
+    @property
+    def begins(self) -> float:
+        """The fraction of the run before which both penalties are zero."""
+        return min(self.distortion_from, self.consistency_from)
+
     def __call__(self, images: Mapping[str, Any], seen: TrainingView) -> Float[Array, ""]:
         """Returns the sum of the penalties; see `splatax.training.protocols.Geometry`."""
         layers = images["layers"]

@@ -44,6 +44,11 @@ class NoGeometry:
         """No outputs."""
         return {}
 
+    @property
+    def begins(self) -> float:
+        """The start of the run."""
+        return 0.0
+
     def __call__(self, images: Mapping[str, Any], seen: TrainingView) -> Float[Array, ""]:
         """Returns zero."""
         return jnp.zeros(())
@@ -92,6 +97,11 @@ class Surfaces:
         if self.consistency:
             needed["facing"] = FACING
         return needed
+
+    @property
+    def begins(self) -> float:
+        """The fraction of the run before which all penalties are zero."""
+        return self.after
 
     def __call__(self, images: Mapping[str, Any], seen: TrainingView) -> Float[Array, ""]:
         """Returns the sum of the penalties; see `splatax.training.protocols.Geometry`."""

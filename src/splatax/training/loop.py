@@ -198,7 +198,7 @@ def _steps(
     rows, state = len(state.gaussians), stepper.placed(state)
     feed = stepper.feed(dataset.train, recipe, done, schedule, photo_room)
     for step, seen in enumerate(feed, done + 1):
-        state, loss = stepper.step(state, seen, recipe)
+        state, loss = stepper.step(state, seen, recipe.at((step - 1) / total))
         if refinement := schedule.refinement(step, recipe.density):
             due = Due(refinement, dataset.extent, jax.random.fold_in(refine_key, step))
             state, rows, count = _refined(state, rows, count, due, recipe, stepper)

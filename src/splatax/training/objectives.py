@@ -116,6 +116,11 @@ class Geometry(Hashable, Protocol):
         """
         ...
 
+    @property
+    def begins(self) -> float:
+        """The fraction of the run before which the penalty is zero: no output is drawn until then."""
+        ...
+
     def __call__(self, images: Mapping[str, Any], seen: TrainingView) -> Float[Array, ""]:
         """Returns the penalty, differentiable in the images. Runs under `jit`, and only if there are some.
 

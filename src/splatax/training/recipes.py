@@ -89,6 +89,12 @@ class Recipe:
         """Returns the same recipe, drawn by another backend."""
         return replace(self, drawing=replace(self.drawing, backend=backend))
 
+    def at(self, progress: float) -> "Recipe":
+        """Returns the recipe of a step at a fraction of the run: without a penalty that has not begun."""
+        if progress >= self.objective.geometry.begins:
+            return self
+        return replace(self, objective=replace(self.objective, geometry=NoGeometry()))
+
     @property
     def renderer(self) -> Renderer:
         """Draws the scene as evaluation, reports and viewers show it."""

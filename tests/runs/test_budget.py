@@ -47,19 +47,21 @@ def test_a_plan_takes_the_time_that_it_is_given(costs, seconds):
     assert spent <= seconds < one_more
 
 
-@pytest.mark.parametrize("costs", [SLOW, replace(SLOW, plain=FAST, begins=0.3)])
+@pytest.mark.parametrize("costs", [SLOW, replace(SLOW, plain=FAST, after=0.3)])
 def test_a_run_takes_as_long_as_all_of_its_steps(costs):
     steps = np.arange(3000) / 3000
     counts = 1000 * 64 ** np.minimum(3 * steps, 1)  # by equal factors in the first third
-    coarse, fine = (0.010, 5e-7), (0.020, 8e-7)
-    seconds = [
-        (0.004, 1e-7) if costs.plain and done < 0.3 else (coarse if done < 0.5 else fine) for done in steps
-    ]
-    whole = sum(base + each * count for (base, each), count in zip(seconds, counts, strict=True))
-    assert 3000 * costs.rest(0.0, 1000, 64_000) == pytest.approx(whole, rel=0.01)
-    assert costs.run(6000, 1000, 64_000) - costs.run(3000, 1000, 64_000) == pytest.approx(whole, rel=0.01)
-    late = sum(base + each * count for (base, each), count in list(zip(seconds, counts, strict=True))[1200:])
-    assert 3000 * costs.rest(0.4, 1000, 64_000) == pytest.approx(late, rel=0.01)
+
+    def cost(done):
+        if costs.plain and done < 0.3:
+            return FAST.coarse
+        return SLOW.coarse if done < 0.5 else SLOW.fine
+
+    seconds = np.array([cost(done).step(count) for done, count in zip(steps, counts, strict=True)])
+    whole = pytest.approx(seconds.sum(), rel=0.01)
+    assert 3000 * costs.rest(0.0, 1000, 64_000) == whole
+    assert costs.run(6000, 1000, 64_000) - costs.run(3000, 1000, 64_000) == whole
+    assert 3000 * costs.rest(0.4, 1000, 64_000) == pytest.approx(seconds[1200:].sum(), rel=0.01)
 
 
 def test_more_time_is_more_steps_and_more_gaussians_up_to_what_there_is_room_for():
@@ -187,13 +189,16 @@ def test_steps_of_this_machine_are_measured():
         assert cost.each >= 0
 
 
-def test_steps_before_the_penalties_on_geometry_are_measured_too():
+def test_steps_before_the_penalties_on_geometry_are_measured_without_them(monkeypatch):
+    plain, late = Cost(0.004, 1e-7), Cost(0.010, 2e-7)
+
+    def cost_of(size, recipe, lens):
+        return late if recipe.objective.geometry.outputs else plain
+
+    monkeypatch.setattr("splatax.runs.budget.cost_of", cost_of)
     recipe = Recipe(objective=Objective(geometry=Surfaces(after=0.25)))
-    with jax.numpy_dtype_promotion("standard"):
-        costs = measured((40, 30), recipe)
-    assert costs.begins == 0.25
-    assert costs.plain is not None
-    assert costs.plain.fine != costs.fine
+    assert measured((40, 30), recipe) == Costs(late, late, Costs(plain, plain), after=0.25)
+    assert measured((40, 30), Recipe()) == Costs(plain, plain)
 
 
 def test_photos_are_smaller_at_first_unless_they_would_be_too_small():

@@ -68,6 +68,15 @@ def test_a_plane_of_discs_has_no_penalty_and_a_cloud_has_one():
         assert penalty(cloud, camera, parts, progress=0.05) == 0
 
 
+def test_discs_have_no_penalty_until_the_first_of_both_begins():
+    scene, camera = cloud_of_discs(), camera_at((0.0, 0.0, -4.0), size=(9, 7), focal=10.0)
+    for distortion, consistency in ((0.2, 0.6), (0.6, 0.2)):
+        parts = DiscGeometry(distortion_from=distortion, consistency_from=consistency)
+        assert parts.after == 0.2
+        assert penalty(scene, camera, parts, 0.19) == 0
+        assert penalty(scene, camera, parts, 0.2) > 0
+
+
 def test_the_distortion_does_not_depend_on_the_unit_of_length():
     cloud = cloud_of_discs()
     larger = replace(cloud, means=10 * cloud.means, log_scales=cloud.log_scales + np.log(10))

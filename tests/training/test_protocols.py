@@ -142,7 +142,7 @@ class Near:
         return {"distance": sx.outputs.OUTPUTS["distance"]}
 
     @property
-    def begins(self):
+    def after(self):
         return 0.0
 
     def __call__(self, images, seen):

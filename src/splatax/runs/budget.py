@@ -98,23 +98,23 @@ class Costs:
     """Costs of steps with photos of half size, and of full size.
 
     Attributes:
-        coarse: with half size.
-        fine: with full size.
-        plain: costs before the penalties on geometry begin; None if there are none, or from the start.
-        begins: fraction of the run after which they do.
+        coarse: of steps with photos of half size.
+        fine: of steps with photos of full size.
+        plain: costs before the penalty on geometry begins; None if there is none, or if it begins at once.
+        after: fraction of the run after which that penalty begins.
     """
 
     coarse: Cost
     fine: Cost
     plain: "Costs | None" = None
-    begins: float = 0.0
+    after: float = 0.0
 
     def at(self, done: Float[np.ndarray, " k"], counts: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
         """Returns the seconds of steps at fractions of the run, with these numbers of Gaussians."""
         steps = np.where(done < 1 / COARSE, self.coarse.step(counts), self.fine.step(counts))
         if self.plain is None:
             return steps
-        return np.where(done < self.begins, self.plain.at(done, counts), steps)
+        return np.where(done < self.after, self.plain.at(done, counts), steps)
 
     def rest(self, done: float, first: int, most: int) -> float:
         """Returns the mean seconds of a step, times the fraction of the run that is left.
@@ -143,14 +143,14 @@ def measured(size: tuple[int, int], recipe: Recipe, lens: Lens = Pinhole()) -> C
         lens: of the photos.
     """
     recipe = recipe.on(backends.resolve(recipe.drawing.backend))
-    begins = recipe.objective.geometry.begins
+    after = recipe.objective.geometry.after
 
     def costs(recipe: Recipe) -> Costs:
         fine, smaller = cost_of(size, recipe, lens), coarse_size(size, recipe)
         return Costs(fine if smaller == size else cost_of(smaller, recipe, lens), fine)
 
     late = costs(recipe)
-    return replace(late, plain=costs(recipe.at(0.0)), begins=begins) if begins else late
+    return replace(late, plain=costs(recipe.at(0.0)), after=after) if after else late
 
 
 def coarse_size(size: tuple[int, int], recipe: Recipe) -> tuple[int, int]:

@@ -41,7 +41,7 @@ class DiscGeometry:
         return {"layers": LAYERS, "facing": FACING}
 
     @property
-    def begins(self) -> float:
+    def after(self) -> float:
         """The fraction of the run before which both penalties are zero."""
         return min(self.distortion_from, self.consistency_from)
 

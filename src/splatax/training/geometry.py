@@ -45,7 +45,7 @@ class NoGeometry:
         return {}
 
     @property
-    def begins(self) -> float:
+    def after(self) -> float:
         """The start of the run."""
         return 0.0
 
@@ -97,11 +97,6 @@ class Surfaces:
         if self.consistency:
             needed["facing"] = FACING
         return needed
-
-    @property
-    def begins(self) -> float:
-        """The fraction of the run before which all penalties are zero."""
-        return self.after
 
     def __call__(self, images: Mapping[str, Any], seen: TrainingView) -> Float[Array, ""]:
         """Returns the sum of the penalties; see `splatax.training.protocols.Geometry`."""

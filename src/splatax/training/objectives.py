@@ -117,8 +117,8 @@ class Geometry(Hashable, Protocol):
         ...
 
     @property
-    def begins(self) -> float:
-        """The fraction of the run before which the penalty is zero: no output is drawn until then."""
+    def after(self) -> float:
+        """The fraction of the run before which the penalty is zero. No output is drawn until then."""
         ...
 
     def __call__(self, images: Mapping[str, Any], seen: TrainingView) -> Float[Array, ""]:

@@ -90,8 +90,11 @@ class Recipe:
         return replace(self, drawing=replace(self.drawing, backend=backend))
 
     def at(self, progress: float) -> "Recipe":
-        """Returns the recipe of a step at a fraction of the run: without a penalty that has not begun."""
-        if progress >= self.objective.geometry.begins:
+        """Returns the recipe of a step at a fraction of the run.
+
+        It has no penalty on geometry before that penalty begins.
+        """
+        if progress >= self.objective.geometry.after:
             return self
         return replace(self, objective=replace(self.objective, geometry=NoGeometry()))
 

@@ -1,7 +1,9 @@
 """Goals of `--geometry`: runs on the demo, whose surfaces are known, and on real captures."""
 
+import itertools
 import json
 import runpy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -50,11 +52,15 @@ def test_the_demo_has_accurate_depth_normals_and_mesh_and_a_good_picture(tmp_pat
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["fern", "fox"])
-def test_surfaces_of_a_real_capture_are_better_at_points_that_were_held_out_and_cost_little(data, name):
+@pytest.mark.parametrize(("name", "seeds"), [("fern", 3), ("fox", 1)])
+def test_surfaces_of_a_real_capture_are_better_at_points_that_were_held_out_and_cost_little(
+    data, name, seeds
+):
     """The penalties cost 0.19 dB on fern and 0.16 dB on fox when this was written.
 
     They divided the error of surface_depth by 4.2 and 2.5, and that of median_surface_depth by 1.1 and 1.3.
+    One run on fern says little about the cost: with or without penalties, some seeds place the pillar at the
+    right edge wrongly, which takes 0.4 dB, and which seeds do depends on the CPU's roundings.
     """
     capture = data / name
     if not capture.is_dir():
@@ -62,13 +68,14 @@ def test_surfaces_of_a_real_capture_are_better_at_points_that_were_held_out_and_
     script = runpy.run_path(str(SCRIPT))
     dataset = script["parted"](sx.load_dataset(capture, downscale=4))
     psnr, errors = [], []
-    for variant in ("default", "--geometry"):
+    for seed, variant in itertools.product(range(seeds), ("default", "--geometry")):
         recipe = script["VARIANTS"][variant](int(STEPS), script["room_for"](dataset))
-        scene = sx.fit(dataset, recipe)
+        scene = sx.fit(dataset, replace(recipe, seed=seed))
         psnr.append(sx.evaluate(scene, dataset.test).psnr)
         depths = against_landmarks(scene, dataset.test).mean.depths
         errors.append([depths[output].relative for output in OF_PLANES])
-    assert psnr[1] >= psnr[0] - 0.4
-    surface, median = np.divide(*errors)
+    plain, penalized = np.reshape(psnr, (seeds, 2)).mean(0)
+    assert penalized >= plain - 0.4
+    surface, median = np.divide(*np.reshape(errors, (seeds, 2, 2)).mean(0))
     assert surface >= 2
     assert median >= 0.9

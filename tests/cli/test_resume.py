@@ -427,7 +427,7 @@ def whole(capture, environment, tmp_path_factory):
 def test_killed_at_random_instants(capture, environment, whole, tmp_path):
     moments, ends = random.Random(0), 0
     run, started = tmp_path / "run", False
-    for _ in range(5):
+    for _ in range(8):
         arguments = ("--resume", run) if started else (capture, "--out", run, *LONG, "--overwrite")
         process = Process(environment, "train", *arguments)
         if process.read_until("step "):
@@ -440,7 +440,7 @@ def test_killed_at_random_instants(capture, environment, whole, tmp_path):
     if started:
         Process(environment, "train", "--resume", run).succeed()
         assert (run / "scene.ply").read_bytes() == whole
-    assert ends < 3  # else it was rarely killed in time
+    assert ends < 4  # else it was rarely killed in time
 
 
 @pytest.mark.slow
